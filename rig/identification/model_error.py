@@ -266,7 +266,7 @@ def of_rests(fit: Fit, answer: Estimate | None = None) -> tuple[Entry, ...]:
         return ()
     windows, frames, most_s = zip(*stretches, strict=True)
     ones = tuple(np.zeros(1, dtype=np.int64) for _ in windows)
-    alone = Cut(windows, frames, ones, most_s, coupling_rad_s=cut.coupling_rad_s).every(cut.longest_s)
+    alone = Cut(windows, frames, ones, most_s, coupling=cut.coupling).every(cut.longest_s)
     if alone.begins.size < FEWEST_PIECES:
         return ()
     other = solve(begin(replace(fit.problem, cut=alone), fit.motor))

@@ -19,7 +19,7 @@ from rig.identification.departures import DEPARTURES, OUTSIDE
 from rig.identification.departures.blocks import Blocks, HeldOut, held_out
 from rig.identification.departures.budget import COVERAGE, OTHER, Budget, Entry, budget
 from rig.identification.departures.choice import AT_NOISE, Choice, Chooser, as_likely, levels
-from rig.identification.departures.coupled import coupling_rad_s, takes_enough
+from rig.identification.departures.coupled import coupling_of, takes_enough
 from rig.identification.departures.departure import Departure
 from rig.identification.departures.fit import CORE, DELAY, POSITIVE, Fit, Known, solve, sums_of_pieces, unit
 from rig.identification.departures.fit import start as begin
@@ -27,7 +27,7 @@ from rig.identification.departures.in_place import bare_fits, gained, in_place, 
 from rig.identification.departures.laws import DRIFT_EACH, LEVEL_EACH, SOFT_COUPLING, level_each
 from rig.identification.departures.nuisances import OF, Nuisances
 from rig.identification.departures.outside import INSTEAD_OF, instead_of_sag, outside
-from rig.identification.departures.pieces import Cut
+from rig.identification.departures.pieces import Coupling, Cut
 from rig.identification.departures.profile import profiles
 from rig.identification.departures.rounding import by_rounding
 from rig.identification.driven import bears
@@ -464,9 +464,9 @@ def motor_law(
                     begun = replace(begun, whole=each, chooser=begun.chooser.with_drift(drift))
                     choice = begun.chooser.choose(each, begun.motor, begun.cycle_s)
                     break
-        coupled_rad_s = 0.0 if further else coupling_rad_s(choice, begun.whole, begun.chooser)
-        if coupled_rad_s:
-            soft = replace(begun, whole=replace(begun.whole, coupling_rad_s=coupled_rad_s))
+        coupling = None if further else coupling_of(choice, begun.whole, begun.chooser)
+        if coupling is not None:
+            soft = replace(begun, whole=replace(begun.whole, coupling=coupling))
             stiff, choice = choice, soft.chooser.choose(soft.whole, begun.motor, begun.cycle_s)
             if takes_enough(stiff, choice, begun.whole, begun.chooser):
                 begun = soft
@@ -495,7 +495,7 @@ def motor_law(
     seen = outside(parts, choice.laws, bench)
     nuisances = Nuisances.of(parts, choice.laws, hidden, bench, seen, blocks.cut.longest_s)
     bare = bare_fits(parts, choice.laws, begun.chooser)
-    coupled = fit.problem.cut.coupling_rad_s
+    coupled = fit.problem.cut.coupling
     others = [*bare.values(), stiff.fit] if stiff is not None and coupled else bare.values()
     like: tuple[Entry, ...] = ()
     if len(choice.laws) >= MANY_LAWS or not begun.chooser.is_rounding(parts):
@@ -535,7 +535,7 @@ def motor_law(
     return MotorLaw(
         (
             *(_found(law, fit, covariance, gained(parts, bare[law.name])) for law in choice.laws),
-            *([_coupling(fit)] if coupled else []),
+            *([_coupling(fit, coupled)] if coupled else []),
         ),
         tuple(group for group in groups if len(group) > 1),
         _estimate(fit, covariance, fit if fit is parts else free_run, tested, plain, periods_s),
@@ -669,18 +669,20 @@ def _found(law: Departure, fit: Fit, covariance: Array, gain: float) -> FoundLaw
     return FoundLaw(law, size, ci95, gain - price, numbers)
 
 
-def _coupling(fit: Fit) -> FoundLaw:
+def _coupling(fit: Fit, coupling: Coupling) -> FoundLaw:
     """The soft coupling that the tests were read behind: no number of the motor's model."""
     free = replace(fit.problem, free=())
-    size = fit.problem.cut.coupling_rad_s**-2
+    size = coupling.rad_s**-2
     sizes = [size * share for share in (0.9, 1.0, 1.1)]
     low, here, high = (
-        solve(begin(replace(free, cut=replace(fit.problem.cut, coupling_rad_s=one**-0.5)), fit.motor)).cost
+        solve(
+            begin(replace(free, cut=replace(fit.problem.cut, coupling=coupling._replace(rad_s=one**-0.5))), fit.motor)
+        ).cost
         for one in sizes
     )
     bend = max((low + high - 2.0 * here) / (0.1 * size) ** 2, 1e-300)
     half = 1.96 * math.sqrt(2.0 * unit(fit) / bend)
-    stiff = solve(begin(replace(free, cut=replace(fit.problem.cut, coupling_rad_s=0.0)), fit.motor)).cost
+    stiff = solve(begin(replace(free, cut=replace(fit.problem.cut, coupling=None)), fit.motor)).cost
     bic = (stiff - here) / unit(fit) - math.log(_freedom(fit))
     return FoundLaw(SOFT_COUPLING, size, (size - half, size + half), bic, {})
 

@@ -21,7 +21,7 @@ ROW_RAD = 1.5  # of a wave, from one row to the next at the mean speed: at twice
 MOST_SLOW = 90  # starts below it: over a longer travel they would be too many
 WAVES_PER_RAD = 6.0  # most of a friction over position
 FREQUENCIES_RAD_S = tuple(2.0 * math.pi * hertz for hertz in (6.0, 9.0, 13.0, 19.0))  # slower ones are seen by eye
-DAMPING = 0.1  # of a belt
+DAMPINGS = (0.1, 0.25)  # of a belt alone; with what the motor's back-EMF takes where the load is half the mass
 _SWEEPS = "slow sweeps over the travel both ways"
 _REVERSALS = "drives of several sizes, with reversals; or the supply's voltage beside them"
 

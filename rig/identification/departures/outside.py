@@ -36,6 +36,7 @@ from rig.identification.departures.fit import Fit, refitted, solve
 from rig.identification.departures.in_place import InPlace, gained
 from rig.identification.departures.laws import (
     BEND,
+    DAMPINGS,
     DEPARTURES,
     FREQUENCIES_RAD_S,
     FRICTION_WAVE,
@@ -45,7 +46,7 @@ from rig.identification.departures.laws import (
     orders,
 )
 from rig.identification.departures.nuisances import OF
-from rig.identification.departures.pieces import Cut
+from rig.identification.departures.pieces import Coupling, Cut
 from rig.model.compiled.row_filter import filtered
 from rig.run_folder.recording.series import Steps
 
@@ -76,9 +77,13 @@ def outside(fit: Fit, laws: Sequence[Departure], bench: Bench) -> list[Outside]:
     laws   those of the fit: a sag has its own in its place, and a supply's resistance is what a sag by the current is
     """
     found = list[Outside]()
-    if not fit.problem.cut.coupling_rad_s:
+    if fit.problem.cut.coupling is None:
         found = [
-            Outside(SOFT_COUPLING, by_coupling(fit, rad_s) / SOFT_COUPLING.range_of(bench), len(FREQUENCIES_RAD_S))
+            Outside(
+                SOFT_COUPLING,
+                by_coupling(fit, Coupling(rad_s, DAMPINGS[0])) / SOFT_COUPLING.range_of(bench),
+                len(FREQUENCIES_RAD_S),
+            )
             for rad_s in FREQUENCIES_RAD_S
         ]
     if any(law.name in INSTEAD_OF for law in laws):
@@ -145,11 +150,11 @@ def _driven(fit: Fit, drives: Sequence[Steps]) -> Cut:
     return replace(cut, windows=tuple(windows))
 
 
-def by_coupling(fit: Fit, rad_s: float) -> Array:
-    """(n, 1) change of the readings behind a coupling of that frequency, rad."""
+def by_coupling(fit: Fit, coupling: Coupling) -> Array:
+    """(n, 1) change of the readings behind that coupling, rad."""
     cut = fit.problem.cut
     stiff_rad = (cut.y_rad + fit.residual_rad)[:, None]
-    return -cut.swing(rad_s, stiff_rad, fit.starts[:, None, :], 1)
+    return -cut.swing(coupling, stiff_rad, fit.starts[:, None, :], 1)
 
 
 def by_friction_waves(fit: Fit, orders: Sequence[float]) -> Array:

@@ -12,12 +12,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.identification.departures.departure import Bench
-from rig.identification.departures.laws import DAMPING
 from rig.identification.motions import Motion, fitted_rows, repeats
 from rig.identification.noise import Noise, noise_of
 from rig.model.compiled.real_motion import Windows
@@ -38,6 +38,13 @@ TURNED_BACK = 0.01  # of the whole motion: so little is noise of the sensor
 BENT_WITHIN = 0.02  # of the largest speed: bristles of a faster shaft are bent fully
 
 
+class Coupling(NamedTuple):
+    """A soft coupling between the shaft and what the sensor shows: its frequency, rad/s, and its damping ratio."""
+
+    rad_s: float
+    damping: float
+
+
 @dataclass(frozen=True, eq=False)
 class Cut:
     """Tests cut into pieces.
@@ -49,7 +56,7 @@ class Cut:
     resting   (p,) whether each piece begins with no speed; None: its speed there is fitted
     weight    (n,) of each row, 0 where it does not count, else 1; None: every row counts
     of        for each window the name of its recording; empty: nobody said
-    coupling_rad_s   frequency of a soft coupling between the shaft and what the sensor shows, rad/s; 0: it is stiff
+    coupling  between the shaft and what the sensor shows; None: it is stiff
     """
 
     windows: tuple[Window, ...]
@@ -59,7 +66,7 @@ class Cut:
     resting: NDArray[np.bool_] | None = None
     weight: Array | None = None
     of: tuple[str, ...] = ()
-    coupling_rad_s: float = 0.0
+    coupling: Coupling | None = None
 
     @classmethod
     def whole(cls, tests: Sequence[TimeSeries], longest_delay_s: float, of: Sequence[str] = ()) -> Cut:
@@ -169,7 +176,7 @@ class Cut:
                 windows[-1] = Window(one, last.first, len(one))
         ones = tuple(np.zeros(1, dtype=np.int64) for _ in windows)
         endless = tuple(math.inf for _ in windows)
-        every = Cut(tuple(windows), tuple(frames), ones, endless, coupling_rad_s=self.coupling_rad_s)
+        every = Cut(tuple(windows), tuple(frames), ones, endless, coupling=self.coupling)
         return every if self.weight is None else every.rests_once()
 
     def every(self, length_s: float) -> Cut:
@@ -192,7 +199,7 @@ class Cut:
             most_s,
             None if self.resting is None else self.resting[chosen],
             None if self.weight is None else self.weight[chosen[self.piece]],
-            coupling_rad_s=self.coupling_rad_s,
+            coupling=self.coupling,
         )
 
     @cached_property
@@ -301,9 +308,9 @@ class Cut:
     def readings(self, motor: RealMotor, starts: Array) -> Array:
         """Predicted readings of all rows, rad; ``starts`` is (p, 2) as ``guessed``."""
         y_rad = readings_of(motor, self._records, self._begins(starts)).y_rad
-        if not self.coupling_rad_s:
+        if self.coupling is None:
             return y_rad
-        return y_rad - self.swing(self.coupling_rad_s, y_rad[:, None], starts[:, None, :], 1)[:, 0]
+        return y_rad - self.swing(self.coupling, y_rad[:, None], starts[:, None, :], 1)[:, 0]
 
     def derivatives(
         self, motor: RealMotor, starts: Array, free: Sequence[int], waves_per_rad: Sequence[float] = ()
@@ -313,18 +320,17 @@ class Cut:
         waves_per_rad   as ``response_and_jacobian``
         """
         found = readings_of(motor, self._records, self._begins(starts), free, waves_per_rad)
-        if not self.coupling_rad_s:
+        if self.coupling is None:
             return found
         every = np.column_stack(found)
         begin = np.zeros((starts.shape[0], every.shape[1], 2))  # velocity and position at the start, by column
         begin[:, 0], begin[:, -2, 0], begin[:, -1, 1] = starts, 1.0, 1.0
-        every = every - self.swing(self.coupling_rad_s, every, begin, every.shape[1] - 2)
+        every = every - self.swing(self.coupling, every, begin, every.shape[1] - 2)
         return Readings(every[:, 0], np.ascontiguousarray(every[:, 1:-2]), np.ascontiguousarray(every[:, -2:]))
 
-    def swing(self, rad_s: float, columns: Array, begin: Array, goes_on: int) -> Array:
+    def swing(self, coupling: Coupling, columns: Array, begin: Array, goes_on: int) -> Array:
         """(n, k) by how much a load behind the coupling is ahead of what follows it stiffly, for (n, k) ``columns``.
 
-        rad_s     frequency of the coupling
         begin     (p, k, 2) velocity and position of each column at the start of each piece
         goes_on   how many of the columns swing on from piece to piece: not those by the start of the own piece
         """
@@ -332,13 +338,13 @@ class Cut:
         accelerated = columns - begin[self.piece, :, 1] - begin[self.piece, :, 0] * since_s[:, None]
         found, at = [], 0
         for window, rows in zip(self.windows, self.rows, strict=True):
-            swing = filtered(*_swings(rad_s, window.period_s), accelerated[at : at + window.t_s.size], rows)
+            swing = filtered(*_swings(coupling, window.period_s), accelerated[at : at + window.t_s.size], rows)
             for first, stop in pairwise([*rows.tolist(), window.t_s.size]):
                 if first > 1:
                     before, last = swing[first - 2, :goes_on], swing[first - 1, :goes_on]
                     step_s = float(window.t_s[first - 1] - window.t_s[first - 2])
                     after_s = (window.t_s[first:stop] - window.t_s[first - 1])[:, None]
-                    swing[first:stop, :goes_on] += _dies_away(rad_s, after_s, last, (last - before) / step_s)
+                    swing[first:stop, :goes_on] += _dies_away(coupling, after_s, last, (last - before) / step_s)
             found.append(swing)
             at += window.t_s.size
         return np.concatenate(found)
@@ -405,19 +411,21 @@ def _goes_along(window: Window) -> bool:
     return bool(pushes.size and np.all(u_V[pushes[0] :] > 0.0) and back_rad < TURNED_BACK * float(np.ptp(y_rad)))
 
 
-def _swings(rad_s: float, period_s: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _swings(coupling: Coupling, period_s: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """The filter d'' + 2 z w d' + w^2 d = x'' from rows of x, taken as straight between them: forward and back."""
-    fast = rad_s * math.sqrt(1.0 - DAMPING**2)
-    decay = math.exp(-DAMPING * rad_s * period_s)
+    rad_s, damping = coupling
+    fast = rad_s * math.sqrt(1.0 - damping**2)
+    decay = math.exp(-damping * rad_s * period_s)
     gain = decay * math.sin(fast * period_s) / (fast * period_s)
     return (gain, -2.0 * gain, gain), (-2.0 * decay * math.cos(fast * period_s), decay**2)
 
 
-def _dies_away(rad_s: float, t_s: Array, swing: Array, per_s: Array) -> Array:
+def _dies_away(coupling: Coupling, t_s: Array, swing: Array, per_s: Array) -> Array:
     """What is left of a swing, and of its change with time, after ``t_s``, (m, 1)."""
-    damped = rad_s * math.sqrt(1.0 - DAMPING**2)
-    sine = (per_s + DAMPING * rad_s * swing) / damped
-    return np.asarray(np.exp(-DAMPING * rad_s * t_s) * (swing * np.cos(damped * t_s) + sine * np.sin(damped * t_s)))
+    rad_s, damping = coupling
+    damped = rad_s * math.sqrt(1.0 - damping**2)
+    sine = (per_s + damping * rad_s * swing) / damped
+    return np.asarray(np.exp(-damping * rad_s * t_s) * (swing * np.cos(damped * t_s) + sine * np.sin(damped * t_s)))
 
 
 def _first_rows(window: Window, length_s: float) -> Rows:
