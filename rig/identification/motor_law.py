@@ -475,7 +475,8 @@ def motor_law(
                 choice = stiff
         if further and own is None and not begun.chooser.tells(choice.fit, len(tests), tested):
             own = begun.chooser.choose(begun.whole, begun.motor, begun.cycle_s)
-        kept, disagree = agreeing(choice.fit, tested, own and own.fit, further) if further else ([], ())
+        alone = None if own is None else own.fit
+        kept, disagree = agreeing(choice.fit, tested, alone, further) if further else ([], ())
         left_out += disagree
         if not disagree:
             break
