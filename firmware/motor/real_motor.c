@@ -70,6 +70,12 @@ static double torque(const motor *m, double w, double v)
     return (w - back_emf(m, v)) / (1.0 + m->source_per_V2 * w * w);
 }
 
+/* A drive behind its dead band, up to the one that a sagging stage gives the most of: beyond it gives no less. */
+static double before_sag(const motor *m, double size)
+{
+    return 2.0 * m->sag_per_V * size > 1.0 ? 0.5 / m->sag_per_V : size;
+}
+
 static double staged(const motor *m, double u_V)
 {
     const double beyond = fabs(u_V) - m->dead_band_V;
@@ -77,7 +83,7 @@ static double staged(const motor *m, double u_V)
         return 0.0;
     }
     const double sign = u_V > 0.0 ? 1.0 : -1.0;
-    const double size = beyond * (1.0 + sign * m->gain_by_sign);
+    const double size = before_sag(m, beyond * (1.0 + sign * m->gain_by_sign));
     return sign * size * (1.0 - m->sag_per_V * size);
 }
 

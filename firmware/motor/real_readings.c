@@ -170,7 +170,7 @@ static void staged_slopes(const motor *m, double u_V, double *out)
     if (beyond > 0.0) {
         const double sign = u_V > 0.0 ? 1.0 : -1.0;
         const double share = 1.0 + sign * m->gain_by_sign;
-        const double size = beyond * share;
+        const double size = before_sag(m, beyond * share);
         const double slope = sign * (1.0 - 2.0 * m->sag_per_V * size);
         out[AT_dead_band_V] = -slope * share;
         out[AT_gain_by_sign] = slope * sign * beyond;

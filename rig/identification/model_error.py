@@ -18,7 +18,8 @@ in it what the law took.
 A drive that bends, as by a sag, has numbers for its bend, and a dead band is one more. Each size of drive tells one
 number: K, then those of the bend. Where the tests hold no more sizes than that, any bend fits, as of a stage that gives
 less than its largest drive: no record tells it. Where they hold more, and the fit leaves more than noise, the bend is
-another one.
+another one. Nor does a record tell whether a dead band comes before a sag or behind it: there K is larger by 2 s d, and
+f_c smaller, for u - d - s u^2 is (1 - 2 s d) u' - s u'^2 with u' = u - d, but for d^2.
 
 Of a record with one size of drive, which acts as a share of itself, tau is known, and K times that share, and K f_c:
 speeds that it drives to, reversals and coasting have nothing else in them. So no record of that kind shows a dead band,
@@ -70,6 +71,7 @@ ALIKE_DRIVES = 0.1  # of the largest drive: within it two tell little of a bend;
 BY_CHANCE = 3.0  # standard errors of a stroke's mean
 STAIRS, RAMPS = 5, 1.0 / 3.0  # drives of a stroke, at least, and of its time, at most, where it is ramped at its ends
 BENDS = "a bend of the drive"
+ORDER = "a dead band before or behind the sag"
 BY_SIZE = ("sag", "source")
 BENDS_BY = {"sag": 1, "source": 2, "dead_band": 1}  # numbers of what acts of each size of drive
 ONE_SIZE = "one size of drive"
@@ -169,7 +171,7 @@ def only_like(
 def any_bend(fit: Fit, bare: Mapping[str, Fit], *, goes_along: bool = False) -> tuple[Entry, ...]:
     """The line for a law that bends the drive, where the tests do not say that this is the bend.
 
-    They hold too few sizes of it, or they leave more than noise.
+    They hold too few sizes of it, or they leave more than noise. Else for the order of it and a dead band.
 
     bare         for each law of ``fit`` the fit without it
     goes_along   whether the drive always pushes the way that the shaft turns, and never rests: then f_c is told by the
@@ -178,8 +180,12 @@ def any_bend(fit: Fit, bare: Mapping[str, Fit], *, goes_along: bool = False) -> 
     bent = [name for name in BY_SIZE if name in bare]
     numbers = 1 + goes_along + sum(BENDS_BY.get(name, 0) for name in bare)
     is_told = drive_sizes(fit.problem.cut) > numbers and fit.rms_rad <= LEAVES * fit.problem.sigma_rad
-    if not bent or is_told:
+    if not bent:
         return ()
+    if is_told:
+        share = 2.0 * abs(fit.motor.sag_per_V) * fit.motor.dead_band_V
+        of_both = Entry(ORDER, 0.0, share * fit.motor.K_rad_s_V, share * fit.motor.fc_V, laws=("sag", "dead_band"))
+        return (of_both,) if share else ()
     here = np.array([getattr(fit.motor, name) for name in OF])
     moves = [np.abs([getattr(bare[name].motor, one) for one in OF] - here) for name in bent]
     tau_s, K, fc_V = np.minimum(np.max(moves, axis=0), np.abs(here)).tolist()

@@ -441,11 +441,12 @@ def motor_law(
     stiff: Choice | None = None
     level: dict[str, float] = {}
     left_out: list[str] = []
+    own: Choice | None = None
     for left in reversed(range(ROUNDS + 1)):
         of_rows = rows + sum(len(series) for series, _ in further)
         beside = [(_folded(series, of_rows, most, plain.tau_s), number) for series, number in further]
         whole = begun.whole.beside(beside, begun.chooser.delay_s[1], FURTHER_CYCLES * begun.cycle_s)
-        choice = begun.chooser.choose(whole, begun.motor, begun.cycle_s)
+        choice = own if own and not further else begun.chooser.choose(whole, begun.motor, begun.cycle_s)
         choice = behind_a_gear(choice, begun.chooser, whole, begun.cycle_s)
         says_more = most == FEWER_ROWS < of_rows and not begun.chooser.within_steps
         if says_more and choice.fit.rms_rad <= EXPLAINED * begun.chooser.sigma_rad:
@@ -472,7 +473,10 @@ def motor_law(
                 begun = soft
             else:
                 choice = stiff
-        kept, disagree = agreeing(choice.fit, tested, plain.rms_rad, further) if further else ([], ())
+        if further and own is None and not begun.chooser.tells(choice.fit, len(tests), tested):
+            own = begun.chooser.choose(begun.whole, begun.motor, begun.cycle_s)
+        alone = None if own is None else own.fit
+        kept, disagree = agreeing(choice.fit, tested, alone, further) if further else ([], ())
         left_out += disagree
         if not disagree:
             break

@@ -440,6 +440,15 @@ def test_few_sizes_of_drive_do_not_tell_a_sag_from_a_supply_that_gives_less_nor_
         assert line.tau_s == 0.0
 
 
+def test_no_record_tells_a_dead_band_before_a_sag_from_one_behind_it() -> None:
+    _, problem, motor = _whole_fit(recorded(MOTOR, (3.0, 5.0, 6.0, 7.0), rows=1200))
+    fit = start(problem, motor._replace(sag_per_V=0.03, dead_band_V=0.3))
+    fit = replace(fit, residual_rad=np.full(fit.residual_rad.size, problem.sigma_rad))
+    [line] = any_bend(fit, {"sag": fit, "dead_band": fit})
+    assert line.K_rad_s_V == pytest.approx(0.018 * motor.K_rad_s_V)
+    assert line.fc_V == pytest.approx(0.018 * motor.fc_V)
+
+
 @pytest.mark.evidence
 @pytest.mark.parametrize(("sag_per_V", "most_V", "is_ok"), [(0.02, 99.0, True), (0.0, 9.0, False)])
 def test_three_sizes_of_drive_tell_a_sag_and_a_supply_that_gives_less_stays_doubtful(

@@ -101,8 +101,12 @@ def test_a_strange_stretch_of_the_search_is_left_out_and_the_verdict_stays(
     assert rows.start <= search.rows[0] < search.rows[1] < middle
 
 
-def test_a_stretch_that_is_left_out_is_told_where_laws_are_chosen_again_from_all_rows() -> None:
-    """With the strange stretch the laws leave more than noise; without it little else, so all rows count then."""
+@pytest.mark.parametrize("rows", [60, 150])
+def test_a_stretch_that_is_left_out_is_told_where_laws_are_chosen_again_from_all_rows(rows: int) -> None:
+    """With the strange stretch the laws leave more than noise; without it little else, so all rows count then.
+
+    With the longer one a fit to all records has no law at all, and tells the tests worse than their own law does.
+    """
     motor, law = PlainMotor(0.3, 3.0, 0.3), Departures(force_V=0.3, force_phase_rad=1.0)
     bench = Bench(noise_rad=0.0005, lsb_rad=4.2 / 16384)
     records = []
@@ -110,7 +114,7 @@ def test_a_stretch_that_is_left_out_is_told_where_laws_are_chosen_again_from_all
         seen = relay_test(motor, law, bench, gains_V, 800, (10.0 * k, 40.0), np.random.SeedSequence(k))
         records.append(TimeSeries(seen.t_s, seen.y_rad, seen.t_s + bench.delay_s, seen.u_V, name=f"record-{k}"))
     *tests, third = records
-    third.y_rad[500:560] += 0.25 * np.sin(np.linspace(0.0, np.pi, 60))
+    third.y_rad[500 : 500 + rows] += 0.25 * np.sin(np.linspace(0.0, np.pi, rows))
     found = motor_law(tests, sampled_data.fit(tests), [None, None], further=[(third, 0)])
     assert [one.law.name for one in found.found] == ["force_over_position"]
     assert [record.rows for record in found.records] == [(0, 799), (0, 799), (0, 493)]

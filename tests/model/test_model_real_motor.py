@@ -252,6 +252,17 @@ def test_derivatives_are_those_of_differences(names: tuple[str, ...]) -> None:
         assert slope == pytest.approx(numeric, abs=1e-4 * np.abs(slope).max()), key
 
 
+def test_of_a_sagging_stage_more_drive_gives_no_less() -> None:
+    motor, place = PLAIN._replace(sag_per_V=0.4), index("sag_per_V")
+    t_s = np.arange(0.0, 3.0, 0.01)
+    pieces, (edges, levels) = three_pieces(t_s.size), relay(3.0)
+    found = response_and_jacobian(motor, FRAME, (edges, levels), t_s, pieces, [place])
+    most = edges, np.clip(levels, -1.25, 1.25)
+    assert found.y_rad == pytest.approx(response(motor, FRAME, most, t_s, pieces), abs=1e-9)
+    numeric = difference(motor, place, ((edges, levels), t_s, pieces))
+    assert found.by_number[:, 0] == pytest.approx(numeric, abs=1e-4 * np.abs(numeric).max())
+
+
 @pytest.mark.parametrize(
     "names", [("dead_band",), ("bristle", "lag"), ("stribeck", "force_over_position")], ids="-".join
 )

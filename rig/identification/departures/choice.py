@@ -204,6 +204,11 @@ class Chooser:
             return fit
         return refitted(by_squares, replace(fit.problem, robust_rad=ROBUST * by_squares.scatter_rad))
 
+    def tells(self, fit: Fit, tests: int, tested: int) -> bool:
+        """Whether a fit tells whole tests to the sensor's noise: the first ``tests`` windows, and ``tested`` rows."""
+        is_whole = all(rows.size == 1 for rows in fit.problem.cut.rows[:tests])
+        return is_whole and float(np.sqrt(np.mean(fit.residual_rad[:tested] ** 2))) <= AT_NOISE * self.sigma_rad
+
     @property
     def within_steps(self) -> bool:
         """Whether rows lie within the steps of a coarse sensor: then their errors are not white, whatever they seem."""
