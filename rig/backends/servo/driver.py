@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -274,9 +273,9 @@ class ServoDriver(RegisterDriver[Ask]):
         Where another process has opened the servo, torque off alone, at once: its keeper may have put all else back.
         """
         if self._only_stops:
-            with turn_on(self.descriptor, _TURN_S) if self.descriptor is not None else nullcontext():
+            with turn_on(self.descriptor, _TURN_S):
                 return super().safe_stop() and self._torque_off()
-        if self._guardian is not None and self._guardian.has_acted and self.descriptor is not None:
+        if self._guardian is not None and self._guardian.has_acted:
             # its answers would be taken for ours; the turn is let go at once: if this process stood still, and had it,
             # the keeper would wait
             with turn_on(self.descriptor, _BURST_S):
