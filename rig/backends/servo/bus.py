@@ -21,8 +21,6 @@ _FEETECH_ID = 5  # address of a servo's id
 _PING_BYTES = 10 + 14  # of a ping and its answer
 _DYNAMIXEL, _FEETECH = dynamixel.Stream(), feetech.Stream()  # each answer is looked at by itself
 
-_new = tuple.__new__  # of a named tuple, without a call in between
-
 F = TypeVar("F")
 
 
@@ -87,24 +85,23 @@ class Bus(Protocol[Ask]):
     @id.setter
     def id(self, id: int) -> None:
         self._id, self._plain = id, self.status(id)
-        self._done = Answer(id, b"\0", len(self._plain))
 
     @override
     def encode(self, request: Ask) -> bytes:
         return request.data
 
     @override
-    def expected(self, data: bytes, request: Ask) -> Answer | None:
+    def expected(self, data: bytes, request: Ask) -> bytes | None:
         _, _, replies, begins, length = request
         if self.echoes:
             return None
         if data == self._plain and not replies:  # the answer to each drive
-            return self._done
+            return b"\0"
         if len(data) == length and data.startswith(begins) and isinstance(body := self.body_of(data), bytes):
             pdu = body[self._said :]
             # an echo has its instruction for an error; a shorter answer that is stuffed is as long on the wire
             if not pdu[0] and len(pdu) - 1 == replies:
-                return _new(Answer, (self._id, pdu, length))
+                return pdu
         return None
 
     @override
