@@ -19,7 +19,6 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
 
 # What the host says within so many s, None: however long. Empty: it is gone; None: it said nothing
 Told = Callable[["float | None"], "bytes | None"]
+Sleep = Callable[[float], object]
 
 READY: Final = b"ready\n"
 DONE: Final = b"d"  # the device is as it was: end; any other byte: look at the heartbeat
@@ -53,6 +53,9 @@ class Order(NamedTuple):
     answer: bytes
 
 
+Orders = Sequence[Order]
+
+
 def main(arguments: list[str]) -> int:
     """Keep the device until the host says that it is done, or is gone."""
     for number in _STOPS:  # one to the whole group must not end it
@@ -65,15 +68,13 @@ def main(arguments: list[str]) -> int:
     with contextlib.suppress(OSError):
         os.write(1, READY)
     kept = Kept(OpenLink(link), stop, restore)
-    if not keep(partial(_told, pipe), Heartbeat(memory), orders["silence_s"], kept):
+    if not keep(
+        lambda wait_s: os.read(pipe, 4096) if select.select([pipe], [], [], wait_s)[0] else None,
+        Heartbeat(memory), orders["silence_s"], kept,
+    ):  # fmt: skip
         stopped, restored = kept.outlive()
         kept.tell(orders["before"], orders["note"], stopped=stopped, restored=restored)
     return 0
-
-
-def _told(pipe: int, wait_s: float | None) -> bytes | None:
-    """As of ``Told``."""
-    return os.read(pipe, 4096) if select.select([pipe], [], [], wait_s)[0] else None
 
 
 def keep(told: Told, heart: Heartbeat, silence_s: float, kept: Kept) -> bool:
@@ -105,13 +106,7 @@ def keep(told: Told, heart: Heartbeat, silence_s: float, kept: Kept) -> bool:
 class Kept:
     """The device behind an open port, and the bytes that stop it and put it back; all times are of the port's clock."""
 
-    def __init__(
-        self,
-        port: Transport,
-        stop: Sequence[Order],
-        restore: Sequence[Order],
-        sleep: Callable[[float], object] = time.sleep,
-    ) -> None:
+    def __init__(self, port: Transport, stop: Orders, restore: Orders, sleep: Sleep = time.sleep) -> None:
         self.now_s = port.now_s
         self._port, self._stop, self._restore, self._sleep = port, stop, restore, sleep
         self._descriptor: int | None = getattr(port, "descriptor", None)
@@ -168,7 +163,7 @@ class Kept:
                     return False
         return True
 
-    def _given(self, orders: Sequence[Order], answers_s: float) -> list[bool]:
+    def _given(self, orders: Orders, answers_s: float) -> list[bool]:
         """Whether each order was confirmed. Each goes out, whatever became of the one before."""
         return [self._confirmed(order, answers_s) for order in orders]
 
