@@ -131,7 +131,7 @@ class DriveMap:
         """Largest drive that the bridge can give, V."""
         return self.supply_V - self.bridge_drop_V
 
-    @property
+    @cached_property
     def sign(self) -> int:
         """Sign of the units of a positive voltage."""
         return -1 if self.reversed else 1

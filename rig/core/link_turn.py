@@ -16,17 +16,18 @@ _LOOKS_S: Final = 0.001
 
 
 @contextmanager
-def turn_on(link: int, wait_s: float) -> Iterator[bool]:
+def turn_on(link: int | None, wait_s: float) -> Iterator[bool]:
     """For the block no other process that asks for its turn has it; False where it did not come: go on all the same.
 
-    link    descriptor of the open port. The lock is the process's own, though all have one open file; it ends with it
+    link    descriptor of the open port, None: in virtual time, where nobody else is. The lock is the process's own,
+            though all have one open file; it ends with it
     wait_s  longest wait for the turn
     """
-    held = _locked(link, time.monotonic() + wait_s)
+    held = link is None or _locked(link, time.monotonic() + wait_s)
     try:
         yield held
     finally:
-        if held and sys.platform != "win32":
+        if held and link is not None and sys.platform != "win32":
             with contextlib.suppress(OSError):  # the port is gone, and the lock with it
                 fcntl.lockf(link, fcntl.LOCK_UN)
 

@@ -70,8 +70,8 @@ class Protocol(ABC, Generic[Req]):
     def encode(self, request: Req) -> bytes:
         """The bytes of a request."""
 
-    def expected(self, data: bytes, request: Req) -> Any:
-        """The ``Frame`` that ``data`` is, where that is quickly seen to be the reply as it must be; else None."""
+    def expected(self, data: bytes, request: Req) -> bytes | None:
+        """The pdu of ``data``, where all of it is quickly seen to be the reply as it must be; else None."""
         return None
 
     @abstractmethod
@@ -166,19 +166,19 @@ class BusClient(Generic[Req]):
         ticks the processor has forgotten them.
         """
         transport, protocol, now_s = self._transport, self._protocol, self._transport.now_s
-        begins_s = now_s()
-        timeout_s = max(timeout_s, until_s - begins_s)
+        from_s = now_s()
+        if until_s - from_s > timeout_s:
+            timeout_s = until_s - from_s
         data = b""
         try:
-            if idle_s > 0.0 or begins_s < self._quiet_until_s or (data := transport.read(0.0)):
-                unasked = self._drain(data, begins_s + idle_s)
+            if idle_s > 0.0 or from_s < self._quiet_until_s or (data := transport.read(0.0)):
+                unasked = self._drain(data, from_s + idle_s)
                 if in_tick and unasked >= _UNASKED_BYTES:
                     raise self.misfit(
                         f"{unasked} bytes that nobody asked for: another master, or two answers to one request"
                     )
-                data = b""
+                data, from_s = b"", now_s()
             asked = protocol.encode(request)
-            from_s = now_s()
             transport.write(asked)
             by_s = now_s()  # it left between these two
             self._counts["exchanges"] += 1
@@ -197,12 +197,12 @@ class BusClient(Generic[Req]):
                 while data:
                     frame: Frame | None = None
                     try:
-                        frame = protocol.expected(data, request)
-                        if frame is None:
+                        if (pdu := protocol.expected(data, request)) is None:
                             frame = protocol.take(data, request)
                             if frame is None:
                                 break
                             protocol.check(frame, request)
+                            pdu = frame.pdu
                     except Damaged as damaged:
                         objection = self.misfit(f"asked for {request.about}: {damaged}")
                     except Fault as fault:
@@ -210,8 +210,9 @@ class BusClient(Generic[Req]):
                         if fault.code == protocol.refusal:
                             raise
                     else:
-                        length = frame.length
-                        if len(data) > length:
+                        length = len(data)
+                        if frame is not None and length > frame.length:
+                            length = frame.length
                             self._count_extra(data, length, strict=in_tick)
                         if (ways := self._reckoned.get((len(asked), length))) is None:
                             ways = self._reckoned[len(asked), length] = self._reckoned_s(len(asked), length)
@@ -224,9 +225,9 @@ class BusClient(Generic[Req]):
                         # waits for the adapter, the system's buffers and this process (measured in docs/modbus.md); of
                         # an exchange quicker than the sum both ways were
                         to_s = self._pace * to_device_s
-                        if reckoned_s > 0.0:
-                            to_s = min(to_s, took_s * to_device_s / reckoned_s)
-                        return _new(Reply, (frame.pdu, since_s + to_s, took_s, reckoned_s, received_s - from_s))
+                        if reckoned_s > 0.0 and (share_s := took_s * to_device_s / reckoned_s) < to_s:
+                            to_s = share_s
+                        return _new(Reply, (pdu, since_s + to_s, took_s, reckoned_s, received_s - from_s))
                     if in_tick:
                         raise objection
                     # where replies that were late come together, the one to this request is the last
@@ -267,15 +268,16 @@ class BusClient(Generic[Req]):
         data     what has come already
         until_s  what comes before came ahead of the next request
         """
-        thrown = 0
+        thrown, now_s = 0, self._transport.now_s
         while True:
-            thrown += len(data)
-            self._throw_away(data)
-            if thrown > _ENDLESS_BYTES:
-                raise self.misfit(f"{thrown} bytes that nobody asked for, and more: the line is never quiet")
-            left_s = max(self._quiet_until_s, until_s) - self._transport.now_s()
-            data = self._transport.read(left_s if left_s > 0.0 else 0.0)
-            if not data and left_s <= 0.0:
+            if data:
+                thrown += len(data)
+                self._throw_away(data)
+                if thrown > _ENDLESS_BYTES:
+                    raise self.misfit(f"{thrown} bytes that nobody asked for, and more: the line is never quiet")
+            quiet_s = max(self._quiet_until_s, until_s)
+            data = self._transport.read(max(quiet_s - now_s(), 0.0))
+            if not data and quiet_s <= now_s():
                 return thrown
 
     def _throw_away(self, data: bytes) -> None:

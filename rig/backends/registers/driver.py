@@ -487,7 +487,10 @@ class RegisterDriver(ABC, Generic[Req]):
         except Fault as fault:
             self._explain(fault)
             raise
-        self._late_in_a_row = self._late_in_a_row + 1 if reply.round_trip_s > self._timeout_s else 0
+        if reply.round_trip_s <= self._timeout_s:
+            self._late_in_a_row = 0
+            return reply
+        self._late_in_a_row += 1
         if self._late_in_a_row >= _LATE_REPLIES:
             raise Fault(
                 "LINK_TIMEOUT",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from types import ModuleType
 from typing import NamedTuple, TypeVar
 
 from typing_extensions import override
@@ -20,8 +21,6 @@ PING_S = 0.004  # in which a servo that is there begins to answer a ping
 _FEETECH_ID = 5  # address of a servo's id
 _PING_BYTES = 10 + 14  # of a ping and its answer
 _DYNAMIXEL, _FEETECH = dynamixel.Stream(), feetech.Stream()  # each answer is looked at by itself
-
-_new = tuple.__new__  # of a named tuple, without a call in between
 
 F = TypeVar("F")
 
@@ -69,9 +68,9 @@ class Bus(Protocol[Ask]):
 
     refusal = REFUSAL
     echoes = False
-    status: Callable[[int], bytes]  # the answer of a servo that has nothing to tell
-    body_of: Callable[[bytes], bytes | str]  # of a packet of the right length
-    _said = 0  # where in it the error byte is
+    codec: ModuleType  # dynamixel or feetech
+    _plain: bytes  # the answer of a servo that has nothing to tell
+    _said = 0  # where in a packet's body the error byte is
 
     def __init__(self, id: int, baud: int) -> None:
         self.id = id
@@ -86,25 +85,24 @@ class Bus(Protocol[Ask]):
 
     @id.setter
     def id(self, id: int) -> None:
-        self._id, self._plain = id, self.status(id)
-        self._done = Answer(id, b"\0", len(self._plain))
+        self._id, self._plain = id, self.codec.status(id)
 
     @override
     def encode(self, request: Ask) -> bytes:
         return request.data
 
     @override
-    def expected(self, data: bytes, request: Ask) -> Answer | None:
+    def expected(self, data: bytes, request: Ask) -> bytes | None:
         _, _, replies, begins, length = request
         if self.echoes:
             return None
         if data == self._plain and not replies:  # the answer to each drive
-            return self._done
-        if len(data) == length and data.startswith(begins) and isinstance(body := self.body_of(data), bytes):
+            return b"\0"
+        if len(data) == length and data.startswith(begins) and isinstance(body := self.codec.body_of(data), bytes):
             pdu = body[self._said :]
             # an echo has its instruction for an error; a shorter answer that is stuffed is as long on the wire
             if not pdu[0] and len(pdu) - 1 == replies:
-                return _new(Answer, (self._id, pdu, length))
+                return pdu
         return None
 
     @override
@@ -148,11 +146,13 @@ class Bus(Protocol[Ask]):
 
     def reading(self, address: int, length: int, about: str) -> Ask:
         """Read bytes."""
-        raise NotImplementedError
+        id, codec = self._id, self.codec
+        begins = codec.status_head(id, length)
+        return Ask(codec.read(id, address, length), about, length, begins, codec.reply_bytes(length))
 
     def writing(self, address: int, data: bytes, about: str) -> Ask:
         """Write bytes, confirmed by an answer."""
-        raise NotImplementedError
+        return Ask(self.codec.write(self._id, address, data), about)
 
     def ping(self, id: int) -> Ask:
         """Ask whether a servo is there; its answer is never the bytes of the question."""
@@ -160,7 +160,7 @@ class Bus(Protocol[Ask]):
 
     def reboot(self) -> Ask:
         """Start the servo anew."""
-        raise NotImplementedError
+        return Ask(self.codec.reboot(self._id), "reboot")
 
     def confirmed(self) -> bytes:
         """The answer to a write that was done, without any error."""
@@ -170,8 +170,7 @@ class Bus(Protocol[Ask]):
 class DynamixelBus(Bus):
     """Protocol 2.0."""
 
-    status, body_of = staticmethod(dynamixel.status), staticmethod(dynamixel.body_of)
-    _said = 1
+    codec, _said = dynamixel, 1
 
     @override
     def answer(self, data: bytes) -> Answer | None:
@@ -194,27 +193,14 @@ class DynamixelBus(Bus):
         return bool(pdu[0] & dynamixel.ALERT)
 
     @override
-    def reading(self, address: int, length: int, about: str) -> Ask:
-        begins = dynamixel.status_head(self.id, length)
-        return Ask(dynamixel.read(self.id, address, length), about, length, begins, dynamixel.reply_bytes(length))
-
-    @override
-    def writing(self, address: int, data: bytes, about: str) -> Ask:
-        return Ask(dynamixel.write(self.id, address, data), about)
-
-    @override
     def ping(self, id: int) -> Ask:
         return Ask(dynamixel.ping(id), f"servo {id}", 3)
-
-    @override
-    def reboot(self) -> Ask:
-        return Ask(dynamixel.reboot(self.id), "reboot")
 
 
 class FeetechBus(Bus):
     """Feetech's protocol. Nothing in an answer tells which request it is for, and one damaged packet in 256 passes."""
 
-    status, body_of = staticmethod(feetech.status), staticmethod(feetech.body_of)
+    codec = feetech
 
     @override
     def answer(self, data: bytes) -> Answer | None:
@@ -228,22 +214,9 @@ class FeetechBus(Bus):
         return pdu[0] != 0
 
     @override
-    def reading(self, address: int, length: int, about: str) -> Ask:
-        begins = feetech.status_head(self.id, length)
-        return Ask(feetech.read(self.id, address, length), about, length, begins, feetech.reply_bytes(length))
-
-    @override
-    def writing(self, address: int, data: bytes, about: str) -> Ask:
-        return Ask(feetech.write(self.id, address, data), about)
-
-    @override
     def ping(self, id: int) -> Ask:
         # not by a ping: one that has an error of its supply answers that with the very same bytes, like an echo
         return Ask(feetech.read(id, _FEETECH_ID, 1), f"servo {id}", 1)
-
-    @override
-    def reboot(self) -> Ask:
-        return Ask(feetech.reboot(self.id), "reboot")
 
 
 def bus_of(model: ServoModel, id: int, baud: int) -> Bus:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -119,6 +118,7 @@ class ServoDriver(RegisterDriver[Ask]):
         self._only_stops = answered
         self._guardian: Guardian | None = None
         self._voltage_scale = setup.model.role("voltage").scale
+        self._weak_V = (1.0 - _SAG_SHARE) * setup.supply_V
         self._is_changed = False  # its registers are not as before
         self._slope_units_s = math.inf  # by which the duty is ramped
         self._ways: deque[_Way] = deque(maxlen=_WAYS)  # the latest drives since it was armed
@@ -130,7 +130,7 @@ class ServoDriver(RegisterDriver[Ask]):
         self._strange = 0  # readings in a row of a duty that is not what was written
         self._doubted = 0  # alerts in a row that the servo's own register denies
         self._bad = 0  # readings in a row of heat or of a supply that is out of range
-        self._tick: tuple[float, float] | None = None  # the servo's clock, ms, and the host's, s
+        self._tick = self._tick_s = math.nan  # the servo's clock as last read, ms, and the host's, s
         self._steps = Steps()
         self._dithered = 0.0  # share of a step
 
@@ -207,7 +207,7 @@ class ServoDriver(RegisterDriver[Ask]):
     @override
     def arm(self, limits: Limits) -> None:
         """As of ``RegisterDriver``; torque on with duty 0 alone, which is read back before."""
-        self._tick = None
+        self._tick = self._tick_s = math.nan
         self._strange = self._bad = self._doubted = 0
         super().arm(limits)
         self._find_steps()
@@ -235,21 +235,21 @@ class ServoDriver(RegisterDriver[Ask]):
         if reply.pdu[0] or self._doubted:
             self._check_alert(reply)
         values = self._values(self._read_span, reply)
-        now_s, units, counts = self._transport.now_s(), self._units, round(values["position"]) - setup.zero_counts
-        applied, supply_V = values["applied"], values["voltage"] * self._voltage_scale
+        now_s, units, counts = self._transport.now_s(), self._units, values["position"] - setup.zero_counts
+        applied = values["applied"]
         try:
             if self._steady_s <= now_s + STEP_S and abs(applied - units) <= _STEPS_OFF:
                 self._strange = 0
             else:
                 self._check_duty(applied)
-            if values["temperature"] < setup.hot_degC and supply_V >= (1.0 - _SAG_SHARE) * setup.supply_V:
+            if values["temperature"] < setup.hot_degC and values["voltage"] * self._voltage_scale >= self._weak_V:
                 self._bad = 0
             else:
                 self._check_health(values)
             if "tick" in values:
-                told = values["tick"], now_s
-                before, self._tick = self._tick or told, told
-                passed_s, took_s = STEP_S * ((told[0] - before[0]) % WRAPS), now_s - before[1]
+                tick = values["tick"]
+                passed_s, took_s = STEP_S * ((tick - self._tick) % WRAPS), now_s - self._tick_s
+                self._tick, self._tick_s = tick, now_s
                 if abs(passed_s - took_s) > _TICK_SLACK_S:  # its clock begins anew where it restarts
                     words = f"its clock went on by {passed_s:.3f} s, the host's by {took_s:.3f} s: it has restarted"
                     raise Fault("DEVICE_RESET", words)
@@ -274,9 +274,9 @@ class ServoDriver(RegisterDriver[Ask]):
         Where another process has opened the servo, torque off alone, at once: its keeper may have put all else back.
         """
         if self._only_stops:
-            with turn_on(self.descriptor, _TURN_S) if self.descriptor is not None else nullcontext():
+            with turn_on(self.descriptor, _TURN_S):
                 return super().safe_stop() and self._torque_off()
-        if self._guardian is not None and self._guardian.has_acted and self.descriptor is not None:
+        if self._guardian is not None and self._guardian.has_acted:
             # its answers would be taken for ours; the turn is let go at once: if this process stood still, and had it,
             # the keeper would wait
             with turn_on(self.descriptor, _BURST_S):
@@ -479,9 +479,10 @@ class ServoDriver(RegisterDriver[Ask]):
         before = self._units if begins_s >= self._steady_s else self._ways[-1].at(begins_s)
         self._ways.append(_new(_Way, (begins_s, before, units, self._slope_units_s)))
         # a ramp gives what a step in its middle gives
-        way_s = abs(units - before) / self._slope_units_s if math.isfinite(self._slope_units_s) else 0.0
+        way_s = abs(units - before) / self._slope_units_s
+        acts_s = begins_s + 0.5 * way_s
         # of a ramp that was ended early its drive never acted: it ends where it began
-        self._t_u_s = begins_s + 0.5 * way_s if math.isnan(last_s) else max(begins_s + 0.5 * way_s, last_s)
+        self._t_u_s = last_s if last_s > acts_s else acts_s  # the first one is nan
         self._steady_s = begins_s + way_s
 
     def _may_act(self) -> tuple[float, float]:
@@ -529,7 +530,7 @@ class ServoDriver(RegisterDriver[Ask]):
     def _check_health(self, values: Mapping[str, float]) -> None:
         setup = self._setup
         supply_V = values["voltage"] * self._voltage_scale
-        hot, weak = values["temperature"] >= setup.hot_degC, supply_V < (1.0 - _SAG_SHARE) * setup.supply_V
+        hot, weak = values["temperature"] >= setup.hot_degC, supply_V < self._weak_V
         self._bad = self._bad + 1 if hot or weak else 0
         if self._bad < _IN_A_ROW:
             return

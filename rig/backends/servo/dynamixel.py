@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from enum import IntEnum
+from functools import cache
 from typing import NamedTuple
 
 from rig.backends.servo.packets import BROADCAST as BROADCAST
@@ -62,17 +63,25 @@ def crc16(data: bytes, start: int = 0) -> int:
     """CRC-16 of bytes, polynomial 0x8005, high bit first; ``start``: that of the bytes before.
 
     The bits are a polynomial, and the CRC is its rest by x^16 + x^15 + x^2 + 1 = (x + 1)(x^15 + x + 1). By the second
-    factor x^(15 n) is x^n + 1 where n is a power of 2: half of all bits are folded onto the other half at once. The
+    factor x^(15 n) is x^n + 1 where n is a power of 2: about half of all bits are folded onto the others at once. The
     first one says that the rest has as many ones as the whole, but for an even number. No table: between two ticks the
     processor has forgotten it.
     """
     whole = rest = int.from_bytes(data, "big") << 16 ^ start << 8 * len(data)
-    n = 1 << (whole.bit_length() // 15).bit_length()
-    while n > 1:
-        n >>= 1
-        while high := rest >> 15 * n:
-            rest ^= high << 15 * n ^ high << n ^ high
+    for far, near in _folds(len(data)):
+        high = rest >> far
+        rest ^= high << far ^ high << near ^ high
     return rest ^ _TRINOMIAL if (rest.bit_count() ^ whole.bit_count()) & 1 else rest
+
+
+@cache
+def _folds(n_data: int) -> list[tuple[int, int]]:
+    """15 n and n of each fold, until 15 bits are left of so many bytes and a CRC."""
+    bits, folds = 8 * n_data + 16, []
+    while bits > 15:  # 15 n bits stay; those above them are folded to 0 and to n
+        bits, n = min((max(15 * n, bits - 14 * n), n) for n in (1 << k for k in range(bits.bit_length())))
+        folds.append((15 * n, n))
+    return folds
 
 
 class Frame(NamedTuple):

@@ -39,12 +39,9 @@ class Steps:
         self._last, self.is_known = tick, True
         high_s = t_s - self.count * STEP_S
         low_s = high_s - STEP_S
-        self.low_s, self.high_s = max(self.low_s, low_s), min(self.high_s, high_s)
-        if self.low_s > self.high_s:  # the clocks have moved apart, by no more than what is between the bounds
-            if high_s < self.low_s:
-                self.low_s = self.high_s = high_s
-            else:
-                self.low_s = self.high_s = low_s
+        # where the clocks have moved apart, then by no more than what is between the bounds
+        self.low_s = min(max(self.low_s, low_s), high_s)
+        self.high_s = max(min(self.high_s, high_s), low_s)
         self._began_s = 0.5 * (self.low_s + self.high_s)
         return self._began_s + self.count * STEP_S
 

@@ -18,12 +18,21 @@ import select
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
+from rig.backends.links.open_link import OpenLink
+from rig.core.faults import Fault
 from rig.core.heartbeat import AT_REST, KEEPER, Heartbeat
 from rig.core.link_turn import turn_on
+
+if TYPE_CHECKING:
+    from rig.backends.driver import Transport
+
+# What the host says within so many s, None: however long. Empty: it is gone; None: it said nothing
+Told = Callable[["float | None"], "bytes | None"]
+Sleep = Callable[[float], object]
 
 READY: Final = b"ready\n"
 DONE: Final = b"d"  # the device is as it was: end; any other byte: look at the heartbeat
@@ -44,6 +53,9 @@ class Order(NamedTuple):
     answer: bytes
 
 
+Orders = Sequence[Order]
+
+
 def main(arguments: list[str]) -> int:
     """Keep the device until the host says that it is done, or is gone."""
     for number in _STOPS:  # one to the whole group must not end it
@@ -55,16 +67,17 @@ def main(arguments: list[str]) -> int:
     stop, restore = _orders(orders["stop"]), _orders(orders["restore"])
     with contextlib.suppress(OSError):
         os.write(1, READY)
-    kept = Kept(link, stop, restore)
-    ended = keep(pipe, Heartbeat(memory), orders["silence_s"], kept)
-    if ended:
-        return 0
-    stopped, restored = kept.outlive()
-    kept.tell(orders["before"], orders["note"], stopped=stopped, restored=restored)
+    kept = Kept(OpenLink(link), stop, restore)
+    if not keep(
+        lambda wait_s: os.read(pipe, 4096) if select.select([pipe], [], [], wait_s)[0] else None,
+        Heartbeat(memory), orders["silence_s"], kept,
+    ):  # fmt: skip
+        stopped, restored = kept.outlive()
+        kept.tell(orders["before"], orders["note"], stopped=stopped, restored=restored)
     return 0
 
 
-def keep(pipe: int, heart: Heartbeat, silence_s: float, kept: Kept) -> bool:
+def keep(told: Told, heart: Heartbeat, silence_s: float, kept: Kept) -> bool:
     """Until the host is done (True) or gone (False). Stops the device each time the host falls silent.
 
     It wakes when the last beat that it has seen is ``silence_s`` old, and looks whether another has come meanwhile. It
@@ -76,32 +89,33 @@ def keep(pipe: int, heart: Heartbeat, silence_s: float, kept: Kept) -> bool:
         wait_s: float | None = None
         if (heard_s := heart.heard_s) != AT_REST:
             due_s = again_s if heard_s == answered_s else heard_s + silence_s
-            wait_s = min(due_s - time.monotonic(), silence_s)
+            wait_s = min(due_s - kept.now_s(), silence_s)
             if wait_s <= 0.0:
                 heart.tell_silent()  # first: a host that goes on just now must not drive
                 kept.stop_in_turn()
-                answered_s, again_s = heard_s, time.monotonic() + _AGAIN_S
+                answered_s, again_s = heard_s, kept.now_s() + _AGAIN_S
                 continue
-        if not select.select([pipe], [], [], wait_s)[0]:
+        if (words := told(wait_s)) is None:
             continue
-        told = os.read(pipe, 4096)
-        if not told:
+        if not words:
             return False
-        if DONE in told:
+        if DONE in words:
             return True
 
 
 class Kept:
-    """The device on its link, and the bytes that stop it and put it back."""
+    """The device behind an open port, and the bytes that stop it and put it back; all times are of the port's clock."""
 
-    def __init__(self, link: int, stop: Sequence[Order], restore: Sequence[Order]) -> None:
-        self._link, self._stop, self._restore = link, stop, restore
+    def __init__(self, port: Transport, stop: Orders, restore: Orders, sleep: Sleep = time.sleep) -> None:
+        self.now_s = port.now_s
+        self._port, self._stop, self._restore, self._sleep = port, stop, restore, sleep
+        self._descriptor: int | None = getattr(port, "descriptor", None)
 
     def stop(self) -> bool:
         """Write the stop, three times, and on until one is confirmed, for a second; whether one was."""
-        confirmed, until_s = False, time.monotonic() + _PERSISTS_S
+        confirmed, until_s = False, self.now_s() + _PERSISTS_S
         written = 0
-        while written < _ATTEMPTS or not (confirmed or time.monotonic() > until_s):
+        while written < _ATTEMPTS or not (confirmed or self.now_s() > until_s):
             # the last order alone stops the device where it refuses those before
             confirmed = self._given(self._stop, _ANSWERS_S)[-1] or confirmed
             written += 1
@@ -109,7 +123,7 @@ class Kept:
 
     def stop_in_turn(self) -> bool:
         """As ``stop``, but not while the keeper of a law stops the device: a reply tells not to whom it is."""
-        with turn_on(self._link, _TURN_S):
+        with turn_on(self._descriptor, _TURN_S):
             return self.stop()
 
     def outlive(self) -> tuple[bool, bool]:
@@ -117,19 +131,22 @@ class Kept:
 
         Who else talks on a bus may jam it for a while: the stop is tried until it is confirmed, or the port is gone.
         """
-        until_s = time.monotonic() + _GIVES_UP_S
+        until_s = self.now_s() + _GIVES_UP_S
         while True:
-            with turn_on(self._link, _TURN_S):
+            with turn_on(self._descriptor, _TURN_S):
                 stopped, restored = self.stop(), self.restore()
-            if stopped or self._is_gone() or time.monotonic() > until_s:
+                is_over = stopped or self._is_gone() or self.now_s() > until_s
+            if is_over:
                 return stopped, restored
-            time.sleep(_AGAIN_S)
+            self._sleep(_AGAIN_S)
 
     def _is_gone(self) -> bool:
         """Whether the port is, as after its cable was pulled."""
-        look = select.poll()
-        look.register(self._link, 0)
-        return bool(look.poll(0))
+        try:
+            self._port.read(0.0)
+        except Fault:
+            return True
+        return False
 
     def restore(self) -> bool:
         """Put the device back, one order after the other; whether each was confirmed.
@@ -138,32 +155,29 @@ class Kept:
         next ones could let an old drive act again. What may stay on in between the last one ends, whatever became of
         the others.
         """
-        until_s = time.monotonic() + _PERSISTS_S
+        until_s = self.now_s() + _PERSISTS_S
         for order in self._restore:
             while not self._confirmed(order, _RESTORES_S):
-                if time.monotonic() > until_s:
+                if self.now_s() > until_s:
                     self._given(self._restore[-1:], _RESTORES_S)
                     return False
         return True
 
-    def _given(self, orders: Sequence[Order], answers_s: float) -> list[bool]:
+    def _given(self, orders: Orders, answers_s: float) -> list[bool]:
         """Whether each order was confirmed. Each goes out, whatever became of the one before."""
         return [self._confirmed(order, answers_s) for order in orders]
 
     def _confirmed(self, order: Order, answers_s: float) -> bool:
         heard = b""
         try:
-            while select.select([self._link], [], [], 0.0)[0] and os.read(self._link, 4096):
-                pass  # late bytes
-            os.write(self._link, order.data)
-            until_s = time.monotonic() + answers_s
-            while order.answer not in heard and (left_s := until_s - time.monotonic()) > 0.0:
-                if select.select([self._link], [], [], left_s)[0]:
-                    more = os.read(self._link, 4096)
-                    if not more:
-                        return False
-                    heard += more
-        except OSError:
+            with contextlib.suppress(Fault):  # what cannot be read from may still take a stop
+                while self._port.read(0.0):
+                    pass  # late bytes
+            self._port.write(order.data)
+            until_s = self.now_s() + answers_s
+            while order.answer not in heard and (left_s := until_s - self.now_s()) > 0.0:
+                heard += self._port.read(left_s)
+        except Fault:
             return False
         return order.answer in heard
 

@@ -11,16 +11,19 @@ from rig.backends.backend import Line
 from rig.backends.driver import DeviceInfo, Timeouts
 from rig.backends.servo import dynamixel, feetech
 from rig.backends.servo.before import BeforeStore
+from rig.backends.servo.bus import ServoLink
 from rig.backends.servo.driver import ServoDriver
 from rig.backends.servo.emulated.bus import ServoBus
 from rig.backends.servo.emulated.hearing import named_by_dynamixel, named_by_feetech
 from rig.backends.servo.emulated.servo import EmulatedServo, ServoOptions
 from rig.backends.servo.emulated.virtual_bus import VirtualServoBus
+from rig.backends.servo.keeper import ServoKeeper
 from rig.backends.servo.line import emulated_servo, setup_of
 from rig.config import load
 from rig.config.schema import Experiment
 from rig.core.faults import Fault
 from rig.core.signals import Limits, Sample
+from rig.running.keeper.silence import Kept, Order
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 CONFIGS = {"dynamixel": CONFIG / "servo.yaml", "feetech": CONFIG / "servo-sts3215.yaml"}
@@ -124,6 +127,30 @@ class Bench:
     def wrong(self) -> list[str]:
         """What no host may do to a servo, and was done."""
         return [violation.what for violation in self.bus.bus.violations]
+
+
+class Keeper(Kept):
+    """What the process of a keeper writes, on the bus in virtual time; to the driver a keeper that never acts."""
+
+    has_acted = False
+
+    def __init__(self, bench: Bench) -> None:
+        super().__init__(bench.bus, (), (), lambda s: bench.bus.sleep_until(bench.bus.now_s() + s))
+
+    def __call__(self, link: ServoLink, store: BeforeStore) -> Keeper:
+        orders = ServoKeeper.orders(link, store)
+        self._stop, self._restore = (
+            [Order(*map(bytes.fromhex, one)) for one in orders[k]] for k in ("stop", "restore")
+        )
+        return self
+
+    def beat(self) -> None:
+        """It lives."""
+
+    waits = rest = beat
+
+    def end(self, *, restored: bool) -> None:
+        assert restored
 
 
 def line_of(bench: Bench) -> Line:

@@ -10,7 +10,7 @@ from evidence import evidence
 from servo_bench import PERIOD_S, PROTOCOLS, Bench
 
 from rig.backends.servo import dynamixel, feetech
-from rig.backends.servo.bus import Answer, Ask
+from rig.backends.servo.bus import Ask
 from rig.backends.servo.emulated.faults import ReplyFault
 
 PHASES, BATCH = 201, 50
@@ -133,9 +133,9 @@ def test_an_alert_that_the_servos_register_denies_is_believed_the_second_time(
     bench.tick(0.3)
     left, expected = iter([0x80] * answers), bench.driver._bus.expected
 
-    def damaged(data: bytes, request: Ask) -> Answer | None:
-        answer = expected(data, request)
-        return answer and answer._replace(pdu=bytes((answer.pdu[0] | next(left, 0), *answer.pdu[1:])))
+    def damaged(data: bytes, request: Ask) -> bytes | None:
+        pdu = expected(data, request)
+        return pdu and bytes((pdu[0] | next(left, 0), *pdu[1:]))
 
     monkeypatch.setattr(bench.driver._bus, "expected", damaged)
     fault = bench.fault_within(5, 0.3)
@@ -148,12 +148,12 @@ def test_what_is_quickly_seen_to_be_the_reply_is_the_reply(protocol: str) -> Non
     bus, codec = Bench(protocol).driver._bus, dynamixel if protocol == "dynamixel" else feetech
     ask, rng = bus.reading(60, 4, "four"), random.Random(1)
     sound, shorter = codec.status(bus.id, b"\x01\xff\xff\xfe"), codec.status(bus.id, b"\xff\xff\xfd")
-    assert bus.expected(sound, ask) == bus.take(sound, ask)
+    assert (whole := bus.take(sound, ask)) is not None and bus.expected(sound, ask) == whole.pdu
     others = [shorter, sound + b"\0", codec.status(bus.id + 1, bytes(4)), codec.status(bus.id, bytes(4), 0x20)]
     others += [bytes(byte ^ (rng.random() < 0.1) << rng.randrange(8) for byte in sound) for _ in range(300)]
     for data in others:
         if (seen := bus.expected(data, ask)) is not None:  # one damaged packet of a Feetech in 256 passes
-            assert seen == bus.take(data, ask) and seen.pdu[0] == 0 and len(seen.pdu) == 5
+            assert (frame := bus.take(data, ask)) and frame.pdu == seen and seen[0] == 0 and len(seen) == 5
     two = bus.reading(2, 2, "two")
     assert bus.expected(two.data, two) is None and bus.take(two.data, two) is None and bus.echoes
     assert bus.expected(sound, ask) is None  # its echo comes first

@@ -10,15 +10,13 @@ from typing import NoReturn
 
 import pytest
 from evidence import evidence
-from servo_bench import BYSTANDERS, PROTOCOLS, Bench, addressed
+from servo_bench import BYSTANDERS, PROTOCOLS, Bench, Keeper, addressed
 
 from rig.backends.servo.before import BeforeStore, order_of
 from rig.backends.servo.bus import ServoLink
-from rig.backends.servo.keeper import ServoKeeper
 from rig.backends.servo.line import servo_of
 from rig.backends.servo.link_budget import longest_return_delay_s
 from rig.core.faults import Fault
-from rig.running.keeper.silence import Kept, Order
 
 NEVER = {"id", "baud_rate", "homing_offset", "min_position_limit", "max_position_limit", "secondary_id", "drive_mode"}
 MOST_WRITES = 2  # of each register of the EEPROM: changed, and put back
@@ -187,38 +185,6 @@ def test_nothing_is_written_to_a_servo_that_falls_silent_before_its_values_are_k
     bench.driver.safe_stop()
     bench.driver.close()
     assert owned(bench) == before and bench.servo.eeprom_writes.total() == 0
-
-
-class Keeper(Kept):
-    """What the process of a keeper writes, on the bus in virtual time; to the driver a keeper that never acts."""
-
-    has_acted = False
-
-    def __init__(self, bench: Bench) -> None:
-        super().__init__(-1, (), ())
-        self._bus, self._patience_s = bench.bus, 0.1
-
-    def __call__(self, link: ServoLink, store: BeforeStore) -> Keeper:
-        orders = ServoKeeper.orders(link, store)
-        self._stop, self._restore = (
-            [Order(*map(bytes.fromhex, one)) for one in orders[k]] for k in ("stop", "restore")
-        )
-        return self
-
-    def beat(self) -> None:
-        """It lives."""
-
-    waits = rest = beat
-
-    def end(self, *, restored: bool) -> None:
-        assert restored
-
-    def _confirmed(self, order: Order, answers_s: float) -> bool:
-        self._bus.write(order.data)
-        until_s, heard = self._bus.now_s() + answers_s, b""
-        while order.answer not in heard and self._bus.now_s() < until_s:
-            heard += self._bus.read(until_s - self._bus.now_s())
-        return order.answer in heard
 
 
 @pytest.mark.parametrize(("protocol", "first"), [

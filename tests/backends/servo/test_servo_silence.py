@@ -1,13 +1,30 @@
-"""The host falls silent at any phase: the duty is 0 soon after the watchdog's time, and the next run says so."""
+"""The host falls silent at any phase: the duty is 0 soon after the watchdog's time, and the next run says so.
+
+Where there is no watchdog the keeper stops the servo, and puts it back once the host is gone.
+"""
 
 from __future__ import annotations
 
+import math
+import os
 import random
+from collections.abc import Iterator
+from itertools import pairwise
+from types import SimpleNamespace
 
 import pytest
 from evidence import evidence
-from servo_bench import PERIOD_S, Bench
+from servo_bench import PERIOD_S, PROTOCOLS, Bench, Keeper
 
+from rig.backends.servo.emulated.faults import ReplyFault
+from rig.backends.servo.keeper import stop_orders
+from rig.core import heartbeat
+from rig.core.heartbeat import SIZE, Heartbeat
+from rig.core.memory_file import create_file
+from rig.running.keeper.silence import keep
+
+KEEPERS_S = 0.08  # after the last that the host did: then the keeper has stopped the servo
+SILENCE_S = 0.06  # that it waits for a host that hangs
 LATER_S = 0.02  # after the watchdog's time: its unit, and a step
 PHASES = 200
 
@@ -61,3 +78,79 @@ def test_a_host_that_comes_back_after_the_watchdog_has_acted_ends_with_its_name(
     assert bench.driver.safe_stop()
     assert not bench.servo.is_on and bench.servo.truth().duty == 0.0
     assert bench.wrong() == []
+
+
+class Hearing(Keeper):
+    """A keeper that hears its host."""
+
+    def __init__(self, bench: Bench) -> None:
+        super().__init__(bench)
+        memory = create_file(SIZE)
+        self.heart = Heartbeat(memory)
+        os.close(memory)
+
+    def beat(self) -> None:
+        self.heart.beat()
+
+    def waits(self) -> None:
+        self.heart.waits()
+
+
+def driving(bench: Bench, keeper: Hearing, rng: random.Random) -> Iterator[None]:
+    """What a host does, step by step, until it dies or hangs: anywhere in a tick, or with a drive on the wire."""
+    driver, bus, volts = bench.driver, bench.bus, bench.limits.max_u_V
+    for _ in range(rng.randrange(1, 20)):
+        next_s = bus.now_s() + PERIOD_S
+        driver.write(rng.choice([-1.0, 1.0]) * rng.uniform(0.3, volts))
+        yield
+        bus.sleep_until(next_s)
+        yield
+        driver.read()
+    bus.sleep_until(bus.now_s() + rng.choice([0.0, rng.uniform(0.0, PERIOD_S)]))
+    if rng.random() < 0.5:
+        keeper.beat()
+        bus.write(driver._writing_drive(driver.drive_map.to_units(volts)).data)
+    # of its orders the servo may miss one, or answer none
+    kinds = (None, ReplyFault("lost", times=rng.randrange(1, 9)), ReplyFault("deaf", times=1))
+    bus.bus.reply_fault = rng.choice(kinds)
+
+
+def stopped_by_keeper(protocol: str, phase: int, monkeypatch: pytest.MonkeyPatch, *, hangs: bool) -> None:
+    rng = random.Random(phase)
+    bench = Bench(protocol, watchdog_defect=True)
+    bus, before = bench.bus, bench.registers()
+    monkeypatch.setattr(heartbeat, "time", SimpleNamespace(monotonic=bus.now_s))
+    keeper = bench.driver._start_guardian = Hearing(bench)
+    bench.armed()
+    host, ended_s, hangs_s = driving(bench, keeper, rng), math.inf, rng.choice([0.2, 1.2]) if hangs else 0.0
+    next(host)
+
+    def told(wait_s: float | None) -> bytes | None:
+        nonlocal ended_s
+        until_s = bus.now_s() + (math.inf if wait_s is None else wait_s)
+        for _ in host:
+            if bus.now_s() >= until_s:
+                return None
+        ended_s = min(ended_s, bus.now_s())
+        bus.sleep_until(min(until_s, ended_s + hangs_s))
+        return b"" if bus.now_s() >= ended_s + hangs_s else None
+
+    assert not keep(told, keeper.heart, SILENCE_S, keeper)
+    assert keeper.outlive() == (True, True), phase
+    keeper.heart.close()
+    bus.sleep_until(bus.now_s() + 0.2)
+    off = stop_orders(bench.driver._link)[-1].data
+    off_s = [t_s for t_s, frame in bus.bus.log if t_s > ended_s and frame.encode() == off]
+    driven_s = [ends_s for (_, volts), (ends_s, _) in pairwise(bus.outputs[0]) if volts]
+    assert max(driven_s) <= ended_s + KEEPERS_S and off_s[0] <= ended_s + KEEPERS_S, phase
+    assert bus.outputs[0][-1][1] == 0.0 and bench.registers() == before and bench.wrong() == [], phase
+
+
+@pytest.mark.parametrize("hangs", [False, True])
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize(("first", "end"), [(0, 4), *evidence((4, 20), *((k, k + 20) for k in range(20, PHASES, 20)))])
+def test_a_host_that_dies_or_hangs_is_outlived_by_a_stop_in_time(
+    first: int, end: int, protocol: str, hangs: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for phase in range(first, end):
+        stopped_by_keeper(protocol, phase, monkeypatch, hangs=hangs)

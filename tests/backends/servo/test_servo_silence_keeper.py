@@ -9,13 +9,16 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 from servo_bench import Bench
 
+from rig.backends.clock import VirtualClock
+from rig.backends.links.open_link import OpenLink
 from rig.backends.servo import keeper as keepers
 from rig.backends.servo.keeper import ServoKeeper
 from rig.core import heartbeat
@@ -23,20 +26,18 @@ from rig.core.faults import Fault
 from rig.core.halted import Halts
 from rig.core.heartbeat import SIZE, Heartbeat
 from rig.core.memory_file import create_file
-from rig.running.keeper import silence
 from rig.running.keeper.silence import Kept, Order, keep
 
 
 class Timed(Kept):
     """Notes when it is stopped, and does nothing else."""
 
-    def __init__(self, now_s: Callable[[], float]) -> None:
-        super().__init__(0, (), ())
+    def __init__(self, clock: VirtualClock) -> None:
+        super().__init__(cast(Any, clock), (), ())
         self.stops_s: list[float] = []
-        self._now_s = now_s
 
     def stop(self) -> bool:
-        self.stops_s.append(self._now_s())
+        self.stops_s.append(self.now_s() - 100.0)
         return True
 
 
@@ -47,37 +48,30 @@ class Keeping:
         memory = create_file(SIZE)
         self.host, keepers = Heartbeat(memory), Heartbeat(memory)
         os.close(memory)
-        self.now_s, self._events = 100.0, list(events)
+        self._clock, self._events = VirtualClock(), list(events)
+        self._clock.sleep_until(100.0)
         self.found_silent: list[bool] = []  # before each of the host's beats
-        heard, self._tells = os.pipe()
-        self.kept = Timed(lambda: self.now_s - 100.0)
-        monkeypatch.setattr(silence, "select", SimpleNamespace(select=self._select))
-        for module in (silence, heartbeat):
-            monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: self.now_s))
-        self.is_done = keep(heard, keepers, 0.06, self.kept)
+        self.kept = Timed(self._clock)
+        monkeypatch.setattr(heartbeat, "time", SimpleNamespace(monotonic=self._clock.now_s))
+        self.is_done = keep(self._told, keepers, 0.06, self.kept)
         for one in (self.host, keepers):
             one.close()
-        os.close(heard)
 
-    def _select(self, listened: list[int], _: object, __: object, wait_s: float | None) -> tuple[list[int], ...]:
-        """What the host does until then; a word of it on the pipe ends the wait."""
-        until_s = math.inf if wait_s is None else self.now_s + wait_s
+    def _told(self, wait_s: float | None) -> bytes | None:
+        """What the host does until then; a word of it ends the wait."""
+        until_s = math.inf if wait_s is None else self._clock.now_s() + wait_s
         while self._events and 100.0 + self._events[0][0] <= until_s:
             at_s, what = self._events.pop(0)
-            self.now_s = 100.0 + at_s
+            self._clock.sleep_until(100.0 + at_s)
             if what == "beats":
                 self.found_silent.append(self.host.was_silent)
                 self.host.beat()
             elif what == "rests":
                 self.host.rest()
-            elif what == "is gone":
-                os.close(self._tells)
-                return listened, [], []
             else:
-                os.write(self._tells, what.encode("ascii"))
-                return listened, [], []
-        self.now_s = until_s
-        return [], [], []
+                return b"" if what == "is gone" else what.encode("ascii")
+        self._clock.sleep_until(until_s)
+        return None
 
 
 def test_a_host_that_falls_silent_is_stopped_and_again_until_it_rests(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -114,7 +108,7 @@ class Scripted(Kept):
     """A device that confirms each order or not, as ``confirms`` says, in order; the last one for ever."""
 
     def __init__(self, stop: Sequence[Order], restore: Sequence[Order], confirms: list[bool]) -> None:
-        super().__init__(-1, stop, restore)
+        super().__init__(OpenLink(-1), stop, restore)
         self.heard: list[bytes] = []
         self._confirms = confirms
 
@@ -190,7 +184,9 @@ class Jammed(Kept):
     """A device that nothing reaches until its bus is free again; None: never."""
 
     def __init__(self, link: int, free_after: int | None) -> None:
-        super().__init__(link, (), ())
+        port, self._clock = OpenLink(link), VirtualClock()
+        port.now_s = self._clock.now_s  # of this one alone
+        super().__init__(port, (), (), lambda s: self._clock.sleep_until(self._clock.now_s() + s))
         self.tried, self._free_after = 0, free_after
 
     def stop(self) -> bool:
@@ -201,16 +197,7 @@ class Jammed(Kept):
         return self._free_after is not None and self.tried > self._free_after
 
 
-def test_who_outlives_its_host_tries_until_the_stop_is_confirmed_or_the_port_is_gone(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    now_s = 0.0
-
-    def sleep(wait_s: float) -> None:
-        nonlocal now_s
-        now_s += wait_s
-
-    monkeypatch.setattr(silence, "time", SimpleNamespace(monotonic=lambda: now_s, sleep=sleep))
+def test_who_outlives_its_host_tries_until_the_stop_is_confirmed_or_the_port_is_gone() -> None:
     near, far = socket.socketpair()
     jammed, dead = Jammed(near.fileno(), 3), Jammed(near.fileno(), None)
     assert jammed.outlive() == (True, True) and jammed.tried == 4
@@ -231,7 +218,7 @@ def test_it_leaves_word_and_the_values_that_nobody_has_put_back(
 ) -> None:
     before, note = tmp_path / "servo.json", tmp_path / "servo.txt"
     before.write_text("{}")
-    Kept(-1, (), ()).tell(str(before), str(note), stopped=stopped, restored=restored)
+    Kept(OpenLink(-1), (), ()).tell(str(before), str(note), stopped=stopped, restored=restored)
     assert note.read_text() == words and before.exists() != restored
     assert {file.name for file in tmp_path.iterdir()} <= {"servo.json", "servo.txt"}
 
@@ -239,7 +226,7 @@ def test_it_leaves_word_and_the_values_that_nobody_has_put_back(
 def test_a_link_that_is_gone_confirms_nothing() -> None:
     near, far = socket.socketpair()
     far.close()
-    assert not Kept(near.fileno(), ORDERS, ()).stop()
+    assert not Kept(OpenLink(near.fileno()), ORDERS, ()).stop()
     near.close()
 
 
