@@ -45,8 +45,8 @@ from rig.panel.watch import Watch
 from rig.run_folder.live.lease import LONGEST_NS, HeldLease, Leaser
 from rig.run_folder.live.running import told
 from rig.run_folder.live.stop_flag import StopFlag, request_stop
-from rig.running.calibrate.bench import HandBench
 from rig.running.calibrate.dialogue import ALONE, Hold, Refusal, Strokes, StrokesSeen
+from rig.running.calibrate.hand_bench import HandBench
 from rig.running.experiment import zero
 from rig.testing.line import on_device
 
