@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from rig.core.estimators import MAIN
 from rig.core.signals import plain
 from rig.run_folder.results import (
     Answer,
@@ -42,7 +43,6 @@ if TYPE_CHECKING:  # each loads slowly
     from rig.running.replay import Replay
     from rig.running.session import Outcome
 
-MAIN = ("tau_s", "K_rad_s_V", "fc_V")  # the parameters that a table shows
 SHORT = ("tau", "K", "f_c")
 MOTOR_LAW_HEADINGS = ("law", "size", "unit", "or, as likely")
 MAP_HEADINGS = ("speed, rad/s", "drive, V", "by the identified motor, V", "")

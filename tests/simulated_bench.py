@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -92,11 +93,10 @@ def simulated_bench(
 def breakaway_check() -> BreakawayCheck:
     """The check as config/demo.yaml has it."""
     return BreakawayCheck(
-        step_V=0.064,
         max_V=1.2,
         motion_rad=0.02,
         rest_s=0.4,
-        plan=StrokePlan([0.03] * 16 + [0.02, 0.02, 0.01], pause_s=0.13, late_s=0.04),
+        plan=StrokePlan((*(0.03,) * 16, 0.02, 0.02, 0.01), 0.13, 0.13, 0.064, 0.04, unseen_rad=math.inf),
         period_s=PERIOD_S,
     )
 
@@ -104,7 +104,7 @@ def breakaway_check() -> BreakawayCheck:
 def break_away(loop: Loop) -> BreakawayCheck:
     """The breakaway check inside ``armed``; the guard knows of it then, as in a run."""
     # longer strokes than the bound on unseen travel allows: for motors stiffer than the demo's, too
-    check = BreakawayCheck(0.064, 1.2, 0.02, 0.4, StrokePlan([0.04], 0.12, late_s=0.04), PERIOD_S)
+    check = BreakawayCheck(1.2, 0.02, 0.4, StrokePlan((0.04,), 0.12, 0.12, 0.064, 0.04, unseen_rad=math.inf), PERIOD_S)
     loop.run(check, "breakaway")
     loop.guard.sign_proven = True
     loop.guard.static_V = max(check.plus_V, check.minus_V)

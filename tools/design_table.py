@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import config
-from rig.campaign.grid import Draw, draw
+from rig.campaign.random_motors import Draw, draw
 from rig.control.strokes import Stroke
 from rig.design import compiled
 from rig.design.belief import Belief

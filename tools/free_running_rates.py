@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from rig.backends.emulated.bench import bench_parameters
+from rig.backends.emulated.bench_of_config import bench_parameters
 from rig.config.problems import ConfigError
 from rig.config.schema import Experiment
 from rig.core.faults import Fault

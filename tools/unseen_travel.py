@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rig import config
-from rig.campaign.grid import draw
+from rig.campaign.random_motors import draw
 from rig.config.schema import MotorSection as DataSheet
 from rig.control.breakaway import BreakawayCheck
 from rig.core.faults import Fault

@@ -425,6 +425,6 @@ def truth_of(d: DeviceSetup) -> BenchParameters | None:
     """The bench of section ``emulated``; None without that section."""
     if d.emulated is None:
         return None
-    from rig.backends.emulated.bench import bench_parameters
+    from rig.backends.emulated.bench_of_config import bench_parameters
 
     return bench_parameters(d.emulated, d.tachometer)

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import JsonValue
 
-from rig.campaign.grid import CampaignError
+from rig.campaign.random_motors import CampaignError
 from rig.campaign.trial import COLUMNS, Row
 from rig.config import Campaign, dump
 from rig.core.package import FOLDER, VERSION
@@ -49,7 +49,7 @@ def program_hash() -> str:
     """Hash of the sources that a row depends on: models, identification, and the campaign's own grid and trial."""
     room = FOLDER
     files = [*sorted((room / "model").rglob("*.py")), *sorted((room / "identification").rglob("*.py"))]
-    files += [room / "campaign" / "grid.py", room / "campaign" / "trial.py"]
+    files += [room / "campaign" / "random_motors.py", room / "campaign" / "trial.py"]
     return hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()
 
 

@@ -25,7 +25,7 @@ from typing import Any, Literal
 import joblib
 
 from rig.campaign import results, summary
-from rig.campaign.grid import BrokenOffError, CampaignError
+from rig.campaign.random_motors import BrokenOffError, CampaignError
 from rig.campaign.trial import FAILED, Row, row_of
 from rig.config import Campaign
 from rig.run_folder.recording.folder import CONFIG, json_text, write_whole

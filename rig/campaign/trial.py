@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.campaign.grid import CampaignError, Draw, draw, simulate
+from rig.campaign.random_motors import CampaignError, Draw, draw, simulate
 from rig.config.campaign import Campaign
 from rig.identification import IdentifyError, identify, sampled_data
 from rig.identification.cramer_rao import PositionNoise, cramer_rao

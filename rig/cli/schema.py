@@ -16,13 +16,12 @@ from rig.run_folder.results import RunMeta, RunResult
     "--to", "file", type=FILE, metavar="FILE",
     help="File to write. Default: stdout.",
 )  # fmt: skip
-@click.option("--out", "old_name", type=FILE, hidden=True)
 @click.option(
     "--of", "of", type=click.Choice(["config", "campaign", "meta", "result"]), default="config", show_default=True,
     help="What it describes: a config, a config of `rig campaign`, a run's meta.json, or its result.json.",
 )  # fmt: skip
 @click.option("--campaign", "of_campaign", is_flag=True, help="The same as --of campaign.")
-def schema(file: Path | None, old_name: Path | None, of: str, of_campaign: bool) -> None:
+def schema(file: Path | None, of: str, of_campaign: bool) -> None:
     """Write a JSON Schema of a config, or of a run's files."""
     if of_campaign and of not in ("config", "campaign"):
         fail(f"--campaign and --of {of} name two schemas", "leave one of them out")
@@ -32,9 +31,6 @@ def schema(file: Path | None, old_name: Path | None, of: str, of_campaign: bool)
         text = schema_text(RunMeta if of == "meta" else RunResult)
     else:
         text = config.schema_text(config.Campaign if of_campaign or of == "campaign" else config.Experiment)
-    if old_name is not None:
-        click.echo(f"note: --out is now --to: `rig schema --to {old_name}`", err=True)
-    file = file or old_name
     if file is None:
         click.echo(text, nl=False)
     else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import fmean, median
 from typing import Literal, NamedTuple
@@ -44,25 +44,153 @@ def turns(y_rad: list[float], least_rad: float, noise_rad: float) -> bool:
     return drift > max(least_rad, 4.0 * noise_rad * math.sqrt(2.0 / half))
 
 
-class RestingCheck(BareLaw):
-    """The part at 0 V of every breakaway check: it waits until the shaft stands, and measures the sensor's noise.
+class _Stroke(NamedTuple):
+    """A stroke that a pair still needs: its direction, +1 or -1; its length, s; whether it takes back another."""
 
-    motion_rad  displacement that counts as motion
-    rest_s      rest before and after; the first one measures the noise
+    way: int
+    length_s: float
+    takes_back: bool
 
-    longest_same_s  longest time so far for which the reading has not changed at all, s
+
+class StrokePlan(NamedTuple):
+    """The strokes of a breakaway check.
+
+    strokes_s   lengths, whole periods: that of each pair, the weakest first; further pairs have the last one's
+    pause_s     after each, whole periods, at least four; it lasts longer if the shaft still coasts
+    top_pause_s the same, of a pair that repeats the largest level
+    step_V      by how much the level rises from pair to pair
+    watchdog_s  watchdog time of the device in the check; where the device has none, or one that arming does not set,
+                the longest delay of a tick that the bound allows. All strokes together may last so much longer than
+                planned; less than half a period does not count
+    unseen_rad  farthest that the shaft turns in the check if the sensor shows nothing
+    further     pairs at the largest level that may follow a motion that was seen: the bound holds for them alone
+    in_all      further pairs at most, however often a motion is seen between them
     """
 
-    def __init__(self, motion_rad: float, rest_s: float) -> None:
+    strokes_s: tuple[float, ...]
+    pause_s: float
+    top_pause_s: float
+    step_V: float
+    watchdog_s: float
+    unseen_rad: float
+    further: int = 0
+    in_all: int = 0
+
+    @property
+    def pairs(self) -> int:
+        """Number of planned pairs: those until the largest level, and those that repeat it."""
+        return len(self.strokes_s)
+
+    def levels(self, max_V: float) -> int:
+        """Number of different levels up to ``max_V``: the planned pairs without those that repeat the last one."""
+        return max(math.ceil(max_V / self.step_V - _ROUNDING), 1)
+
+    def longest_s(self, max_V: float) -> float:
+        """How long all pairs take at most, s."""
+        first_at_top = self.levels(max_V)
+        strokes_s = (*self.strokes_s, *self.strokes_s[-1:] * self.in_all)
+        pauses_s = (self.pause_s if k < first_at_top else self.top_pause_s for k in range(len(strokes_s)))
+        return 2.0 * (sum(strokes_s) + sum(pauses_s))
+
+
+class BreakawayCheck(BareLaw):
+    """Strokes to and fro, each pair stronger than the last, until the shaft has moved in both directions.
+
+    With a stuck or uncoupled sensor the shaft turns unseen. So an equal stroke in the other direction takes each stroke
+    back, and every other pair begins in the other direction. The shaft then moves only as far as friction differs
+    between the directions. Strokes go on in both directions until both were seen, so that this holds whenever the
+    sensor fails. ``rig.running.preflight.breakaway_strokes`` bounds that travel and chooses the strokes (docs/theory.md
+    10.1).
+
+    A late tick makes its stroke longer, by a period at most where the device ends it itself (``pulse_s``), or shorter
+    where it begins late. The stroke back lasts as long as that stroke really acted. If the stroke back itself is off,
+    one more stroke in each direction makes them equal again. All strokes together may be longer than planned by
+    ``plan.watchdog_s``. One that came short turns the shaft no farther than planned; more than a few end the check. A
+    gap of the readings makes a pause longer.
+
+    A drive rises within its stroke. Its first ticks may be less than half a step of the device, which then drives 0 V:
+    by the device's reports the stroke begins after them. They belong to it all the same.
+
+    The strokes of a slow shaft each move it little. Once both directions together have moved it by ``motion_rad``, the
+    sensor shows its motion. After the planned pairs the check then goes on at ``max_V``: by no more than
+    ``plan.further`` pairs since such a motion was last seen, where planned pairs count by the lengths of their strokes,
+    and by ``plan.in_all`` pairs at most.
+
+    max_V       largest level; Fault NO_MOTION if the pairs up to it have not moved the shaft in both directions
+    motion_rad  displacement that counts as motion, added up over the strokes in one direction
+    rest_s      rest before and after; the first rest measures the sensor's noise
+    plan        the strokes; each rises from the last pair's level to its own
+    period_s    period of the loop
+    quantised   what the device drives for a drive, V; float: it has no steps
+
+    A device may keep a drive waiting. ``reported_delay_s`` is the time from the sample on which a stroke was decided to
+    its begin, by the device's reports; each pause lasts until the device has reported the end of its stroke.
+
+    Results, once finished: ``plus_V`` and ``minus_V`` (> 0), each halfway between the last level without visible motion
+    and the next level; ``noise_rad``, the sensor's standard deviation at rest; ``reported_delay_s``. Both levels may
+    lie above static friction, since the level rises until the motion exceeds the noise; identification corrects that.
+    They may lie below it, too, where noise looks like a first motion. ``surely_V`` is at least the larger of both, and
+    so high that noise alone hardly explains the motion below it: what a guard may expect to move the shaft.
+
+    Raises Fault: DRIVE_STUCK_ON (moves at 0 V), SENSOR_NOISY, NO_MOTION, POLARITY (moves against the drive), LOAD_TURNS
+    (moves the same way under strokes to either side), LATE (too long), LINK_TIMEOUT (too many came short).
+    """
+
+    def __init__(
+        self,
+        max_V: float,
+        motion_rad: float,
+        rest_s: float,
+        plan: StrokePlan,
+        period_s: float,
+        quantised: Callable[[float], float] = float,
+    ) -> None:
         self.motion_rad = motion_rad
         self.rest_s = rest_s
-        self.plus_V = math.nan
-        self.minus_V = math.nan
-        self.noise_rad = math.nan
+        self.plus_V = self.minus_V = self.noise_rad = math.nan
         self.reported_delay_s = 0.0
         self.longest_same_s = 0.0
         self._same: tuple[int, float] | None = None  # the last reading, counts, and since when it is the same
         self._rest_y: list[float] = []
+        self.max_V = max_V
+        self._plan = plan
+        self._period_s = period_s
+        self._quantised = quantised
+        self._phase: Literal["first rest", "stroke", "pause", "last rest"] = "first rest"
+        self._since_s = math.nan  # start of the phase
+        self._pair = 0
+        self._level_V = 0.0
+        self._way = 0  # direction of the stroke, +1 or -1
+        self._meant_s = 0.0  # its planned length
+        self._begun_s = self._ended_s = math.nan  # when it began and ceased to act, by the samples' times
+        self._asked_s = (math.nan, math.nan)  # the same, by the samples at which the check asked for it
+        self._asked: list[
+            tuple[float, float]
+        ] = []  # when it asked for a drive in this stroke, and what the device makes
+        self._delays_s: list[float] = []  # of each stroke so far, by the device's reports
+        self._has_times = False  # whether samples tell when the drive acts
+        self._needed: list[_Stroke] = []  # strokes that the pair still needs, in their order
+        self._ahead_s = (
+            0.0  # how much longer strokes towards rising positions have acted than those that took them back
+        )
+        self._longer_s = 0.0  # how much longer than planned those strokes were that were too long, added up
+        self._short = 0  # strokes that came short
+        self._before_rad = 0.0  # where it stood before the stroke
+        self._pause_y: list[tuple[float, float]] = []  # s and rad
+        self._along = {1: 0.0, -1: 0.0}  # displacement along the strokes of each direction, added up, rad
+        self._against = {1: 0.0, -1: 0.0}
+        self._further, self._in_all = plan.further, plan.in_all
+        self._shown_rad = 0.0  # displacement along the strokes of both directions since the last proof
+        self._proven: int | None = None  # pair after which the sensor had shown motion_rad
+        self._still_V = {1: 0.0, -1: 0.0}  # last level without displacement beyond the noise
+        self._unsure_V = {1: 0.0, -1: 0.0}  # last level with so little displacement that noise may have gathered to it
+        self._found_V: dict[int, float] = {}
+        self.surely_V = math.nan
+
+    @property
+    def moves_V(self) -> float:
+        """The drive that moved the shaft both ways."""
+        return max(self.plus_V, self.minus_V)
 
     def _watch_flicker(self, sample: Sample) -> None:
         """Note for how long the reading stays the same."""
@@ -97,129 +225,6 @@ class RestingCheck(BareLaw):
             return None
         self._rest_y = []
         return fmean(still)
-
-
-class _Stroke(NamedTuple):
-    """A stroke that a pair still needs: its direction, +1 or -1; its length, s; whether it takes back another."""
-
-    way: int
-    length_s: float
-    takes_back: bool
-
-
-@dataclass(frozen=True)
-class StrokePlan:
-    """Lengths of the strokes of a breakaway check.
-
-    strokes_s   length for each pair, weakest pair first, at least one period; further pairs use the last length
-    further     pairs at the largest level that may follow a motion that was seen
-    in_all      further pairs at most, however often a motion is seen between them
-    pause_s     pause after each stroke, at least four periods; it lasts longer if the shaft still coasts
-    top_pause_s the same, for pairs that repeat the largest level; None: ``pause_s``
-    late_s      how much longer than planned all strokes together may be; less than half a period does not count
-    """
-
-    strokes_s: Sequence[float]
-    pause_s: float
-    late_s: float
-    further: int = 0
-    in_all: int = 0
-    top_pause_s: float | None = None
-
-
-class BreakawayCheck(RestingCheck):
-    """Strokes to and fro, each pair stronger than the last, until the shaft has moved in both directions.
-
-    With a stuck or uncoupled sensor the shaft turns unseen. So an equal stroke in the other direction takes each stroke
-    back, and every other pair begins in the other direction. The shaft then moves only as far as friction differs
-    between the directions. Strokes go on in both directions until both were seen, so that this holds whenever the
-    sensor fails. ``rig.running.preflight.breakaway_strokes`` bounds that travel and chooses the strokes (docs/theory.md
-    10.1).
-
-    A late tick makes its stroke longer, by a period at most where the device ends it itself (``pulse_s``), or shorter
-    where it begins late. The stroke back lasts as long as that stroke really acted. If the stroke back itself is off,
-    one more stroke in each direction makes them equal again. All strokes together may be longer than planned by
-    ``plan.late_s``. One that came short turns the shaft no farther than planned; more than a few end the check. A gap
-    of the readings makes a pause longer.
-
-    A drive rises within its stroke. Its first ticks may be less than half a step of the device, which then drives 0 V:
-    by the device's reports the stroke begins after them. They belong to it all the same.
-
-    The strokes of a slow shaft each move it little. Once both directions together have moved it by ``motion_rad``, the
-    sensor shows its motion. After the planned pairs the check then goes on at ``max_V``: by no more than
-    ``plan.further`` pairs since such a motion was last seen, where planned pairs count by the lengths of their strokes,
-    and by ``plan.in_all`` pairs at most.
-
-    step_V      how much the level rises from pair to pair; a stroke rises from the last pair's level to its own
-    max_V       largest level; Fault NO_MOTION if the pairs up to it have not moved the shaft in both directions
-    motion_rad  displacement that counts as motion, added up over the strokes in one direction
-    rest_s      rest before and after; the first rest measures the sensor's noise
-    plan        lengths of strokes and pauses
-    period_s    period of the loop
-    quantised   what the device drives for a drive, V; float: it has no steps
-
-    A device may keep a drive waiting. ``reported_delay_s`` is the time from the sample on which a stroke was decided to
-    its begin, by the device's reports; each pause lasts until the device has reported the end of its stroke.
-
-    Results, once finished: ``plus_V`` and ``minus_V`` (> 0), each halfway between the last level without visible motion
-    and the next level; ``noise_rad``, the sensor's standard deviation at rest; ``reported_delay_s``. Both levels may
-    lie above static friction, since the level rises until the motion exceeds the noise; identification corrects that.
-    They may lie below it, too, where noise looks like a first motion. ``surely_V`` is at least the larger of both, and
-    so high that noise alone hardly explains the motion below it: what a guard may expect to move the shaft.
-
-    Raises Fault: DRIVE_STUCK_ON (moves at 0 V), SENSOR_NOISY, NO_MOTION, POLARITY (moves against the drive), LOAD_TURNS
-    (moves the same way under strokes to either side), LATE (too long), LINK_TIMEOUT (too many came short).
-    """
-
-    def __init__(
-        self,
-        step_V: float,
-        max_V: float,
-        motion_rad: float,
-        rest_s: float,
-        plan: StrokePlan,
-        period_s: float,
-        quantised: Callable[[float], float] = float,
-    ) -> None:
-        super().__init__(motion_rad, rest_s)
-        self.max_V = max_V
-        self._step_V = step_V
-        self._strokes_s = tuple(plan.strokes_s)
-        self._pause_s = plan.pause_s
-        self._top_pause_s = plan.pause_s if plan.top_pause_s is None else plan.top_pause_s
-        self._period_s = period_s
-        self._late_s = plan.late_s
-        self._quantised = quantised
-        self._phase: Literal["first rest", "stroke", "pause", "last rest"] = "first rest"
-        self._since_s = math.nan  # start of the phase
-        self._pair = 0
-        self._level_V = 0.0
-        self._way = 0  # direction of the stroke, +1 or -1
-        self._meant_s = 0.0  # its planned length
-        self._begun_s = self._ended_s = math.nan  # when it began and ceased to act, by the samples' times
-        self._asked_s = (math.nan, math.nan)  # the same, by the samples at which the check asked for it
-        self._asked: list[
-            tuple[float, float]
-        ] = []  # when it asked for a drive in this stroke, and what the device makes
-        self._delays_s: list[float] = []  # of each stroke so far, by the device's reports
-        self._has_times = False  # whether samples tell when the drive acts
-        self._needed: list[_Stroke] = []  # strokes that the pair still needs, in their order
-        self._ahead_s = (
-            0.0  # how much longer strokes towards rising positions have acted than those that took them back
-        )
-        self._longer_s = 0.0  # how much longer than planned those strokes were that were too long, added up
-        self._short = 0  # strokes that came short
-        self._before_rad = 0.0  # where it stood before the stroke
-        self._pause_y: list[tuple[float, float]] = []  # s and rad
-        self._along = {1: 0.0, -1: 0.0}  # displacement along the strokes of each direction, added up, rad
-        self._against = {1: 0.0, -1: 0.0}
-        self._further, self._in_all = plan.further, plan.in_all
-        self._shown_rad = 0.0  # displacement along the strokes of both directions since the last proof
-        self._proven: int | None = None  # pair after which the sensor had shown motion_rad
-        self._still_V = {1: 0.0, -1: 0.0}  # last level without displacement beyond the noise
-        self._unsure_V = {1: 0.0, -1: 0.0}  # last level with so little displacement that noise may have gathered to it
-        self._found_V: dict[int, float] = {}
-        self.surely_V = math.nan
 
     def step(self, sample: Sample) -> float:
         """Drive at this sample, V; 0 V while resting."""
@@ -299,8 +304,8 @@ class BreakawayCheck(RestingCheck):
             if self._level_V >= self.max_V and not self._may_go_on():
                 raise Fault("NO_MOTION", self._no_motion_words())
             self._pair += 1
-            self._level_V = min(self._pair * self._step_V, self.max_V)
-            stroke_s = self._strokes_s[min(self._pair, len(self._strokes_s)) - 1]
+            self._level_V = min(self._pair * self._plan.step_V, self.max_V)
+            stroke_s = self._plan.strokes_s[min(self._pair, len(self._plan.strokes_s)) - 1]
             self._needed = [_Stroke(1 if self._pair % 2 else -1, stroke_s, takes_back=False)]
         stroke = self._needed[0]
         self._way = stroke.way
@@ -324,12 +329,12 @@ class BreakawayCheck(RestingCheck):
 
     def _may_go_on(self) -> bool:
         """Whether one more pair at ``max_V`` keeps what could be unseen within the bound."""
-        planned, last_s = len(self._strokes_s), self._strokes_s[-1]
+        planned, last_s = len(self._plan.strokes_s), self._plan.strokes_s[-1]
         further = self._pair - planned
         if further < 0 or self._proven is None or further >= self._in_all:
             return further < 0
         # a pair at a lower level drifts no faster than one at max_V, but for as long as its stroke lasts
-        unseen_s = sum(self._strokes_s[self._proven :]) + (self._pair - max(self._proven, planned)) * last_s
+        unseen_s = sum(self._plan.strokes_s[self._proven :]) + (self._pair - max(self._proven, planned)) * last_s
         return unseen_s + last_s <= self._further * last_s * (1.0 + _ROUNDING)
 
     def _ask(self, sample: Sample, elapsed_s: float) -> float:
@@ -340,10 +345,10 @@ class BreakawayCheck(RestingCheck):
 
     def _stroke_V(self, elapsed_s: float) -> float:
         """Drive within a stroke, V: it rises to the pair's level."""
-        stroke_s = self._strokes_s[min(self._pair, len(self._strokes_s)) - 1]
+        stroke_s = self._plan.strokes_s[min(self._pair, len(self._plan.strokes_s)) - 1]
         ticks, tick = round(stroke_s / self._period_s), round(elapsed_s / self._period_s)
-        before_V = (self._pair - 1) * self._step_V
-        return self._way * min(before_V + self._step_V * min((tick + 1) / ticks, 1.0), self.max_V)
+        before_V = (self._pair - 1) * self._plan.step_V
+        return self._way * min(before_V + self._plan.step_V * min((tick + 1) / ticks, 1.0), self.max_V)
 
     def _pause(self, sample: Sample, elapsed_s: float) -> float:
         """Wait until the shaft stands, judge the stroke, begin the next one. Returns the drive, V."""
@@ -364,15 +369,16 @@ class BreakawayCheck(RestingCheck):
         self._balance()
         if not self._needed and len(self._found_V) == 2:
             self.plus_V, self.minus_V = self._found_V[1], self._found_V[-1]
-            self.surely_V = max(*self._found_V.values(), *(V + 0.5 * self._step_V for V in self._unsure_V.values()))
+            unsure_V = (level_V + 0.5 * self._plan.step_V for level_V in self._unsure_V.values())
+            self.surely_V = max(*self._found_V.values(), *unsure_V)
             self._begin("last rest", sample)
             return 0.0
         return self._next_stroke(sample, stood_rad)
 
     def _least_pause_s(self) -> float:
         """Length of this pause, s: the plan's, or until the device has reported the stroke."""
-        repeats = (self._pair - 1) * self._step_V >= self.max_V
-        pause_s = self._top_pause_s if repeats else self._pause_s
+        repeats = (self._pair - 1) * self._plan.step_V >= self.max_V
+        pause_s = self._plan.top_pause_s if repeats else self._plan.pause_s
         if self._delays_s:
             return max(pause_s, self.reported_delay_s + _SEEN_PERIODS * self._period_s)
         return max(pause_s, _LONGEST_WAIT_S) if self._is_lost() else pause_s
@@ -406,8 +412,9 @@ class BreakawayCheck(RestingCheck):
         )
         if error_s > 0.0:
             self._longer_s += error_s
-            if self._longer_s > self._late_s:
-                raise Fault("LATE", f"{lasted}; all strokes together may be longer by {1e3 * self._late_s:.0f} ms")
+            if self._longer_s > self._plan.watchdog_s:
+                room_ms = 1e3 * self._plan.watchdog_s
+                raise Fault("LATE", f"{lasted}; all strokes together may be longer by {room_ms:.0f} ms")
             return
         self._short += 1
         if self._short > _MOST_SHORT:
@@ -450,4 +457,4 @@ class BreakawayCheck(RestingCheck):
         if along[way] < SURELY * self.motion_rad:
             self._unsure_V[way] = self._level_V
         if along[way] > self.motion_rad:
-            self._found_V.setdefault(way, self._still_V[way] + 0.5 * self._step_V)
+            self._found_V.setdefault(way, self._still_V[way] + 0.5 * self._plan.step_V)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 from rig.control.guard import VelocityWindow
 from rig.control.law import BareLaw
 from rig.control.motion import CycleWatch
-from rig.control.relay import DualChannelRelay
+from rig.control.relay import DualChannelRelay, RelayOnCounts
 from rig.control.unshown import UnshownMotion
 from rig.core.faults import Fault
 from rig.core.signals import Sample
@@ -59,20 +59,8 @@ class SearchStep(NamedTuple):
     outcome: str
 
 
-class Relay(Protocol):
-    """A dual-channel relay: ``DualChannelRelay``, or one that runs in a device."""
-
-    h1_V: float
-    h2_V: float
-
-    @property
-    def z_rad_s(self) -> float:
-        """Integral of the position."""
-
-    def step(self, sample: Sample) -> float:
-        """Drive for this sample, V."""
-
-
+Relay = DualChannelRelay | RelayOnCounts
+"""The relay, or as it runs in a device."""
 R = TypeVar("R", bound=Relay)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from rig.backends.driver import RelayCommand
 from rig.control.law import BareLaw
 from rig.core.signals import Sample
 
@@ -66,35 +67,21 @@ class RelayOnCounts:
     The law is ``DualChannelRelay`` with counts instead of rad and ticks instead of s. These are binary fractions, so
     rounding affects no decision.
 
-    centre_counts       reading at y = 0
-    direction           +1 if positions rise with the counts, else -1
-    z_bound_count_ticks bound on the integral
-    drives_V            drive of each state: y >= 0 and z >= 0, y >= 0 > z, y < 0 <= z, both < 0
-    count_tick_rad_s    integral of one count for one tick
-    h1_V, h2_V          gains that these drives come from
+    command     as the device has it
+    h1_V, h2_V  gains that its drives come from
     """
 
-    def __init__(
-        self,
-        centre_counts: float,
-        direction: int,
-        z_bound_count_ticks: float,
-        drives_V: tuple[float, float, float, float],
-        count_tick_rad_s: float,
-        gains_V: tuple[float, float],
-    ) -> None:
+    def __init__(self, command: RelayCommand, gains_V: tuple[float, float]) -> None:
         self.h1_V, self.h2_V = gains_V
-        self.centre_counts = centre_counts
-        self.direction = direction
-        self.count_tick_rad_s = count_tick_rad_s
-        self._law = DualChannelRelay(1.0, 2.0, z_bound_count_ticks)
-        self._drives_V = dict(zip((-3.0, 1.0, -1.0, 3.0), drives_V, strict=True))  # by -1 sgn(y) - 2 sgn(z)
+        self.command = command
+        self._law = DualChannelRelay(1.0, 2.0, command.z_bound_count_ticks)
+        self._drives_V = dict(zip((-3.0, 1.0, -1.0, 3.0), command.drives_V, strict=True))  # by -1 sgn(y) - 2 sgn(z)
         self._ticks = 0
 
     @property
     def z_rad_s(self) -> float:
         """Integral of the position."""
-        return self._law.z_rad_s * self.count_tick_rad_s
+        return self._law.z_rad_s * self.command.count_tick_rad_s
 
     @property
     def bound_reached(self) -> bool:
@@ -103,7 +90,7 @@ class RelayOnCounts:
 
     def step(self, sample: Sample) -> float:
         """Drive for this tick's sample, V."""
-        y_counts = self.direction * (sample.y_counts - self.centre_counts)
+        y_counts = self.command.direction * (sample.y_counts - self.command.centre_counts)
         state = self._law.step(Sample(float(self._ticks), y_counts, sample.y_counts))
         self._ticks += 1
         return self._drives_V[state]

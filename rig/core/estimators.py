@@ -30,5 +30,7 @@ ESTIMATORS: Final = [
     EstimatorEntry("describing-function", "DF", "rig.identification.describing_function:DescribingFunction"),
     EstimatorEntry("least-squares", "LS", "rig.identification.least_squares:LeastSquares", finds_motor=False),
 ]
+MAIN: Final = ("tau_s", "K_rad_s_V", "fc_V")
+"""The numbers of an answer that each table, picture and comparison has."""
 LEADING: Final = ESTIMATORS[0].name
 """The estimator that decides: it needs the least data, and the laws of real motors extend its model."""

@@ -12,12 +12,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
+from rig.core.estimators import MAIN
 from rig.run_folder.results import Answer, FoundLawResult, JsonObject, known
 
 GRAVITY_M_S2: Final = 9.81
 _STEP: Final = 1e-4  # of a half width, for a derivative
 _OVER_POSITION: Final = "force_over_position"
-_NUMBERS: Final = ("tau_s", "K_rad_s_V", "fc_V")
 _OTHER_K: Final = 0.1  # by which K may differ with the load beyond all intervals, as where friction grows with torque
 
 Inputs = Mapping[str, "Quantity"]
@@ -152,9 +152,9 @@ def newton_metres(
 
 def _is_whole(answer: Answer) -> bool:
     """Whether it has the numbers of a motor, each with an interval: what has none is not exact."""
-    tau_s, K, fc_V = (known(answer.value(name)) for name in _NUMBERS)
+    tau_s, K, fc_V = (known(answer.value(name)) for name in MAIN)
     is_motor = 0.0 < tau_s < math.inf and 0.0 < K < math.inf and 0.0 <= fc_V < math.inf
-    return is_motor and all(answer.at_95(name) is not None for name in _NUMBERS)
+    return is_motor and all(answer.at_95(name) is not None for name in MAIN)
 
 
 def _other_motor(loaded: Answer, bare: Answer) -> float:

@@ -18,7 +18,8 @@ from typing import Final, TypeVar
 from rig.panel.messages import Refusal, RefusedError
 from rig.run_folder.recording.errors import RecordingError
 
-_PATIENCE_S: Final = 60.0
+_COMPUTES_S: Final = 60  # of its own time: on a busy machine it gets little of it, and may well come to an answer
+_PATIENCE_S: Final = 600.0  # for a disk that hangs
 _LESS_URGENT: Final = 10
 _Answer = TypeVar("_Answer")
 
@@ -41,7 +42,8 @@ async def answer_of(asked: Callable[..., _Answer], *paths: Path) -> _Answer:
     try:
         given = json.loads(said)
     except ValueError:
-        last = " ".join(errors.decode(errors="replace").strip().splitlines()[-1:]) or "no answer"
+        last = " ".join(errors.decode(errors="replace").strip().splitlines()[-1:])
+        last = last or f"it was ended without an answer, as is what computes for {_COMPUTES_S} s"
         raise RefusedError(503, f"{name} cannot be read: {last}", "look at it with rig") from None
     if "error" in given:
         raise RefusedError(409, **given["error"])
@@ -53,6 +55,10 @@ def main(module: str, asked: str, *paths: str) -> None:
     """As such a process: print the answer for the paths that were asked for, or what is wrong with a recording."""
     with contextlib.suppress(AttributeError, OSError):  # Windows has no such call
         os.nice(_LESS_URGENT)
+    with contextlib.suppress(ImportError, OSError, ValueError):  # nor such a module; or it may compute for less already
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CPU, (_COMPUTES_S, _COMPUTES_S))
     try:
         given: object = getattr(import_module(module), asked)(*map(Path, paths))
     except RecordingError as error:

@@ -15,6 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
+from rig.core.estimators import MAIN
 from rig.core.plain_file import read_plain
 from rig.core.signals import plain
 from rig.panel.messages import RefusedError, RunRow
@@ -141,7 +142,7 @@ def _summary(folder: Path, meta: RunMeta, result: RunResult | None, notes: list[
 def _numbers(estimate: EstimateResult) -> dict[str, tuple[float, float | None] | None]:
     """tau, K and f_c, each with half its 95 % interval; null where there is none."""
     numbers: dict[str, tuple[float, float | None] | None] = {}
-    for name in ("tau_s", "K_rad_s_V", "fc_V"):
+    for name in MAIN:
         value, interval = estimate.value(name), estimate.at_95(name)
         half = None if interval is None else 0.5 * (interval[1] - interval[0])
         numbers[name] = None

@@ -4,7 +4,7 @@ The devices: the firmware compiled for this machine, a Modbus I/O block on RTU o
  and smart servos on a bus.
 """
 
-from rig.backends.emulated.bench import bench_parameters as bench_parameters
+from rig.backends.emulated.bench_of_config import bench_parameters as bench_parameters
 from rig.backends.emulated.line_faults import Corruption as Corruption
 from rig.backends.emulated.line_faults import Disturbance as Disturbance
 from rig.backends.modbus.emulated.reply_faults import ReplyFault as ReplyFault

@@ -14,7 +14,7 @@ import yaml
 import rig
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.flash import FlashError
-from rig.campaign.grid import CampaignError
+from rig.campaign.random_motors import CampaignError
 from rig.config import ConfigError
 from rig.config.ready import UnknownConfigError
 from rig.core.plug_ins import PlugInError

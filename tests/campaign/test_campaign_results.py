@@ -14,7 +14,7 @@ import pytest
 from small_campaign import small
 
 from rig.campaign import results
-from rig.campaign.grid import CampaignError
+from rig.campaign.random_motors import CampaignError
 from rig.campaign.trial import COLUMNS, Row, run_trial
 from rig.config import load_campaign
 

@@ -20,7 +20,7 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 from small_campaign import UNREPEATABLE, small
 
 from rig.campaign import results, session
-from rig.campaign.grid import BrokenOffError, CampaignError
+from rig.campaign.random_motors import BrokenOffError, CampaignError
 from rig.campaign.trial import COLUMNS, Row, run_trial
 from rig.config import Campaign, dump
 

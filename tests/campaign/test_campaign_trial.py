@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from small_campaign import UNREPEATABLE, small
 
-from rig.campaign import grid
+from rig.campaign import random_motors
 from rig.campaign.trial import COLUMNS, run_trial
 from rig.config import Campaign
 from rig.identification import identify, sampled_data
@@ -38,7 +38,7 @@ def test_the_same_experiment_gives_the_same_row() -> None:
 def test_the_estimate_is_that_of_rig_identify_on_the_csv_file(tmp_path: Path, times_known: bool) -> None:
     campaign = small(sampling={"times_known": times_known})
     row = run_trial(campaign, 5)
-    test, rows = grid.simulate(campaign, grid.draw(campaign, 5))
+    test, rows = random_motors.simulate(campaign, random_motors.draw(campaign, 5))
     names = ["t_s", "u_V", "y_rad"] + (["t_u_s"] if times_known else [])
     columns = [getattr(test, name)[rows] for name in names]
     columns = [c - test.t_s[rows][0] if name in ("t_s", "t_u_s") else c for name, c in zip(names, columns, strict=True)]

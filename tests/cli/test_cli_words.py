@@ -161,16 +161,6 @@ def test_out_is_a_folder_and_to_is_a_file_in_every_command() -> None:
     assert {("schema", "--to"), ("export", "--to"), ("run", "--out"), ("campaign", "--out")} <= set(seen)
 
 
-def test_the_old_name_of_a_file_still_works_and_says_the_new_one(tmp_path: Path) -> None:
-    old, new = tmp_path / "old.json", tmp_path / "new.json"
-    result = rig("schema", "--out", old)
-    assert (result.exit_code, result.stderr) == (
-        0, f"note: --out is now --to: `rig schema --to {old}`\n"
-    )  # fmt: skip
-    assert rig("schema", "--to", new).stderr == ""
-    assert old.read_bytes() == new.read_bytes() != b""
-
-
 @pytest.mark.parametrize("words", ["12", "a:b", "5:-1", "1:2:3"])
 def test_rows_that_are_no_rows_are_refused(words: str, tmp_path: Path) -> None:
     result = rig("identify", tmp_path, "--rows", words)

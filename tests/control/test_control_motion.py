@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated_bench import CALIBRATION, GUARD, LIMITS, PERIOD_S, BenchModel, break_away, simulated_bench
 
-from rig.campaign.grid import draw
+from rig.campaign.random_motors import draw
 from rig.config.campaign import Campaign
 from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange
 from rig.control.guard import Guard

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from evidence import evidence
 
-from rig.campaign.grid import Draw, draw
+from rig.campaign.random_motors import Draw, draw
 from rig.config.campaign import Campaign
 from rig.control.motion import Swings
 from rig.control.relay import DualChannelRelay

@@ -21,7 +21,7 @@ from rig import config
 from rig.backends.registry import Bench as OpenBench
 from rig.backends.simulated.backend import SIMULATED
 from rig.backends.simulated.driver import SimulatedDriver
-from rig.campaign.grid import Draw, draw
+from rig.campaign.random_motors import Draw, draw
 from rig.config import Experiment
 from rig.config.campaign import Campaign
 from rig.config.schema import RelayGainsSection, RelaySection, UntilSection

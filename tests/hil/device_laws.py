@@ -20,7 +20,7 @@ from rig.control.law import Law
 from rig.control.loop.runner import Loop
 from rig.control.loop.stop_request import StopRequest
 from rig.control.relay import RelayOnCounts
-from rig.control.strokes_on_counts import CountedTimes, StrokesOnCounts
+from rig.control.strokes_on_counts import StrokesOnCounts
 from rig.model.bench import BenchParameters
 from rig.model.cycle_detector import CycleDetector
 
@@ -119,11 +119,9 @@ class RelayBench(DeviceBench):
         self, cycles: int = 3, gains_V: tuple[float, float] = GAINS_V, guard: GuardSettings = GUARD, **bench: Any
     ) -> None:
         super().__init__(guard, **bench)
-        self.command = c = self.driver.relay_command(*gains_V, 0.7)
+        self.command = self.driver.relay_command(*gains_V, 0.7)
         self.detector = CycleDetector(30 * PERIOD_S, 20 * CALIBRATION.lsb_rad)
-        relay = RelayOnCounts(
-            c.centre_counts, c.direction, c.z_bound_count_ticks, c.drives_V, c.count_tick_rad_s, gains_V
-        )
+        relay = RelayOnCounts(self.command, gains_V)
         self.test = RelayTest(relay, self.detector, gains_V, cycles, 30.0)
 
 
@@ -135,8 +133,6 @@ class StrokesBench(DeviceBench):
 
     def __init__(self, guard: GuardSettings = GUARD, levels: Any = LEVELS_V, **bench: Any) -> None:
         super().__init__(guard, **bench)
-        self.command = c = self.driver.strokes_command(levels, TIMES, MOTION_RAD)
-        self.strokes = StrokesOnCounts(
-            c.strokes, c.centre_counts, c.direction, CountedTimes(c.stroke_ticks, c.still_ticks), c.still_counts
-        )
+        self.command = self.driver.strokes_command(levels, TIMES, MOTION_RAD)
+        self.strokes = StrokesOnCounts(self.command)
         self.test = Bounded(self.strokes, None)

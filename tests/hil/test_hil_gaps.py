@@ -12,7 +12,7 @@ from test_hil_pulses import LIMITS, driver_on
 from virtual_host import HELD
 
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
-from rig.campaign.grid import draw
+from rig.campaign.random_motors import draw
 from rig.config.campaign import Campaign
 from rig.core.faults import Fault
 from rig.running.preflight.breakaway_strokes import UNSEEN_RAD

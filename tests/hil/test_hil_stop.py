@@ -45,8 +45,8 @@ from rig.panel.watch import Watch
 from rig.run_folder.live.lease import LONGEST_NS, HeldLease, Leaser
 from rig.run_folder.live.running import told
 from rig.run_folder.live.stop_flag import StopFlag, request_stop
-from rig.running.calibrate.bench import HandBench
 from rig.running.calibrate.dialogue import ALONE, Hold, Refusal, Strokes, StrokesSeen
+from rig.running.calibrate.hand_bench import HandBench
 from rig.running.experiment import zero
 from rig.testing.line import on_device
 
@@ -99,9 +99,7 @@ def drive_until_stopped(bench: Bench, where: str) -> None:
             bench.loop.run(Constant(0.62, 5.0), "jog")
             return
         c = bench.driver.relay_command(*GAINS_V, 0.7)
-        relay = RelayOnCounts(
-            c.centre_counts, c.direction, c.z_bound_count_ticks, c.drives_V, c.count_tick_rad_s, GAINS_V
-        )
+        relay = RelayOnCounts(c, GAINS_V)
         test = RelayTest(relay, CycleDetector(30 * PERIOD_S, 20 * CALIBRATION.lsb_rad), GAINS_V, 50, 60.0)
         bench.loop.run_in_device(test, c, "relay-1")
 

@@ -20,7 +20,7 @@ from simulated_bench import ListSink
 from emulated_chips.opening import emulated_chip, emulated_pico
 from rig import config
 from rig.backends.backend import Line
-from rig.backends.emulated.bench import bench_parameters
+from rig.backends.emulated.bench_of_config import bench_parameters
 from rig.backends.serial import opening
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.config import Experiment

@@ -10,7 +10,8 @@ from evidence import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.control.strokes_on_counts import CountedTimes, StrokesOnCounts
+from rig.backends.driver import StrokesCommand
+from rig.control.strokes_on_counts import StrokesOnCounts
 from rig.core.faults import Fault
 from rig.core.signals import Sample
 
@@ -18,7 +19,7 @@ Plan = Sequence[tuple[int, int]]  # drive in units, by the position's sign; turn
 
 
 def decisions(
-    plan: Plan, centre: int, times: CountedTimes, still: int, counts: Sequence[int], ways: tuple[int, int]
+    plan: Plan, centre: int, times: tuple[int, int], still: int, counts: Sequence[int], ways: tuple[int, int]
 ) -> list[int]:
     """Drive of each tick; asserts that both agree at every tick.
 
@@ -26,7 +27,8 @@ def decisions(
     """
     direction, sign = ways
     device = DeviceStrokes([(sign * drive, turn) for drive, turn in plan], centre, times, still, direction * sign)
-    host = StrokesOnCounts([(float(drive), turn) for drive, turn in plan], centre, direction, times, still)
+    of_host = tuple((float(drive), turn) for drive, turn in plan)
+    host = StrokesOnCounts(StrokesCommand(of_host, centre, direction, *times, still))
     drives = []
     for tick, reading in enumerate(counts):
         try:
@@ -50,7 +52,7 @@ def plans(draw: st.DrawFn, low: int, high: int) -> Plan:
 
 
 all_ways = st.tuples(st.sampled_from([1, -1]), st.sampled_from([1, -1]))
-short = st.builds(CountedTimes, st.integers(1, 30), st.integers(1, 12))
+short = st.tuples(st.integers(1, 30), st.integers(1, 12))
 
 
 @settings(max_examples=examples(400), deadline=None)
@@ -63,7 +65,7 @@ short = st.builds(CountedTimes, st.integers(1, 30), st.integers(1, 12))
     ways=all_ways,
 )
 def test_any_readings(
-    plan: Plan, centre: int, times: CountedTimes, still: int, counts: list[int], ways: tuple[int, int]
+    plan: Plan, centre: int, times: tuple[int, int], still: int, counts: list[int], ways: tuple[int, int]
 ) -> None:
     decisions(plan, centre, times, still, counts, ways)
 
@@ -77,7 +79,7 @@ def test_any_readings(
     ways=all_ways,
 )
 def test_readings_that_move_and_stand_still(
-    plan: Plan, times: CountedTimes, still: int, runs: list[tuple[int, int]], ways: tuple[int, int]
+    plan: Plan, times: tuple[int, int], still: int, runs: list[tuple[int, int]], ways: tuple[int, int]
 ) -> None:
     """Steady motion of some counts a tick, or none, for some ticks each: turns, standstills and strokes too slow."""
     counts, at = [], 512
@@ -96,7 +98,7 @@ def test_readings_that_move_and_stand_still(
     ways=all_ways,
 )
 def test_any_encoder(plan: Plan, centre: int, counts: list[int], ways: tuple[int, int]) -> None:
-    decisions(plan, centre, CountedTimes(30, 12), 65535, counts, ways)
+    decisions(plan, centre, (30, 12), 65535, counts, ways)
 
 
 @pytest.mark.parametrize("ways", [(1, 1), (1, -1), (-1, 1), (-1, -1)])
@@ -117,8 +119,6 @@ def test_a_run_that_shows_every_case(ways: tuple[int, int]) -> None:
     slow = moved(*range(-30, 11))  # 30 ticks are too few for the first stroke's 60 counts
     still = moved(*[-20] * 14)
     back = moved(*range(-20, -60, -6))
-    drives = decisions(
-        plan, 512, CountedTimes(30, 8), 3, to_and_fro + slow + back + still + still + moved(70, -70), ways
-    )
+    drives = decisions(plan, 512, (30, 8), 3, to_and_fro + slow + back + still + still + moved(70, -70), ways)
     assert set(drives) == {sign * u for u in (50, -70, 60, -80)} | {0}
     assert drives[-1] == 0

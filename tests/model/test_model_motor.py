@@ -115,47 +115,6 @@ def test_advance_is_the_solution_of_the_differential_equation(
     assert np.array(motor.advance(state, u_V, dt_s)) == pytest.approx(expected, abs=1e-7 * scale)
 
 
-@settings(max_examples=examples(60), deadline=None)
-@given(taus, gains, levels, speeds, drives, spans, st.integers(2, 7))
-def test_many_small_steps_are_one_large_step(
-    tau: float, K: float, fc: float, v: float, u_V: float, dt_s: float, steps: int
-) -> None:
-    motor = Motor(tau, K, coulomb(fc))
-    whole = motor.advance(State(v), u_V, dt_s)
-    state = State(v)
-    for _ in range(steps):
-        state = motor.advance(state, u_V, dt_s / steps)
-    # A reversal at the very boundary of two steps is decided by rounding; away from it the steps agree.
-    assert np.array(state) == pytest.approx(np.array(whole), abs=1e-9 * (1.0 + abs(v) + K * 4.0))
-
-
-@settings(max_examples=examples(40), deadline=None)
-@given(
-    taus,
-    gains,
-    levels,
-    speeds,
-    st.lists(st.tuples(drives, st.floats(0.0, 0.4)), min_size=1, max_size=8),
-    st.integers(2, 40),
-)
-def test_response_is_advance_repeated(
-    tau: float, K: float, fc: float, v: float, plan: list[tuple[float, float]], samples: int
-) -> None:
-    motor = Motor(tau, K, coulomb(fc), 0.03)
-    edges = np.concatenate(([0.0], np.cumsum([width for _, width in plan])[:-1]))
-    u = np.array([level for level, _ in plan])
-    t = np.linspace(0.0, float(edges[-1]) + 0.5, samples)
-    states = motor.response(State(v), t, edges, u)
-    state, now = State(v), 0.0
-    for k, stop in enumerate(t):
-        cuts = [edge for edge in edges if now < edge < stop]
-        for until in [*cuts, stop]:
-            acting = u[int(np.searchsorted(edges, now, side="right")) - 1]
-            state = motor.advance(state, acting, until - now)
-            now = until
-        assert states[k] == pytest.approx(np.array(state), abs=1e-8 * (1.0 + abs(v) + 4.0 * K))
-
-
 def test_energy_never_grows_without_drive() -> None:
     motor = Motor(0.17, 6.5, coulomb(0.4))
     t = np.linspace(0.0, 3.0, 200)

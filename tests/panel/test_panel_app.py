@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import threading
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any, get_type_hints
 from urllib.parse import quote
@@ -21,8 +22,9 @@ from starlette.websockets import WebSocketDisconnect
 
 from rig.panel.access import Access, Address
 from rig.panel.app import Panel, make_app
+from rig.panel.aside import answer_of
 from rig.panel.bench import StopAnswer
-from rig.panel.messages import Checked, Compared, Drawn, RunRow, State, Stop
+from rig.panel.messages import Checked, Compared, Drawn, RefusedError, RunRow, State, Stop
 from rig.panel.processes import StartedProcess
 from rig.panel.prospect import prospect
 from rig.panel.sockets import LARGEST_MESSAGE, MOST_MESSAGES_S
@@ -263,6 +265,22 @@ def test_runs_are_compared_by_name(watcher: TestClient) -> None:
     name = "20260103T000000Z-run-whole"
     assert "two to 6" in error(watcher.get(f"/api/compare?run={name}&run={name}"), 400)["what"]
     error(watcher.get(f"/api/compare?run={name}&run=..secret"), 404)
+
+
+def test_what_is_done_aside_is_ended_by_what_it_computes_not_by_how_busy_the_machine_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "asked.py").write_text(
+        "import os, resource, signal\n"
+        "def limit(path): return [*resource.getrlimit(resource.RLIMIT_CPU), os.nice(0)]\n"
+        "def endless(path): os.kill(os.getpid(), signal.SIGXCPU)\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.syspath_prepend(tmp_path)
+    asked = import_module("asked")
+    assert asyncio.run(answer_of(asked.limit, tmp_path)) == [60, 60, os.nice(0) + 10]
+    with pytest.raises(RefusedError, match="computes for 60 s"):
+        asyncio.run(answer_of(asked.endless, tmp_path))
 
 
 def test_whoever_reads_much_keeps_neither_a_check_nor_a_stop_waiting(

@@ -64,6 +64,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
             "url": url, "panel_pid": panel.pid, "runs": str(runs), "config": str(config),
             "calibrate_config": str(wrong), "jog_config": str(ROOT / "config" / "demo.yaml"),
             "shared_url": shared_url, "password": PASSWORD, "shots": os.environ.get("RIG_SHOTS"),
+            "patience_ms": 1e3 * PATIENCE_S,
         }  # fmt: skip
         told = subprocess.run(
             ["node", str(HERE / "browser" / "page.mjs"), json.dumps(asked)], stdout=subprocess.PIPE, check=True

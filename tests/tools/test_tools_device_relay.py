@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.device_relay import CONFIG, DEVICE_DELAY_S, DEVICE_S, HOST_S, identify, relay_record
-from rig.campaign.grid import Draw, draw
+from rig.campaign.random_motors import Draw, draw
 from rig.config import load_campaign
 from rig.identification import triple_relay
 from rig.identification.cycles import find_cycle

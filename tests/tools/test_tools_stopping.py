@@ -11,7 +11,7 @@ from evidence import evidence
 from campaign_real.departing_bench import REACH_RAD, config_of, open_bench
 from campaign_real.departing_motor import Bench
 from campaign_real.kinds import KINDS, departures_of
-from rig.campaign.grid import draw
+from rig.campaign.random_motors import draw
 from rig.config.campaign import Campaign
 from rig.config.schema import RelaySection, UntilSection
 from rig.control.law import Rest

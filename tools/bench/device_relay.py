@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.benchmark import options, tell
-from rig.campaign.grid import LONGEST_CYCLE, Draw, draw
+from rig.campaign.random_motors import LONGEST_CYCLE, Draw, draw
 from rig.config import load_campaign
 from rig.config.campaign import Campaign
 from rig.identification import sampled_data, triple_relay

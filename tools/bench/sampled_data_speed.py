@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 
 from bench.benchmark import options, tell
 from bench.solver_peer import Array, positions
-from rig.campaign.grid import draw, simulate
+from rig.campaign.random_motors import draw, simulate
 from rig.config.campaign import Campaign
 from rig.identification import sampled_data
 from rig.identification.cycles import find_cycle

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from campaign_real.departing_motor import Bench, Departures, MovingShaft, PlainMotor
-from rig.campaign.grid import Draw
+from rig.campaign.random_motors import Draw
 from rig.config import Experiment
 from rig.config.load import load
 from rig.config.schema import BreakawaySection

@@ -16,7 +16,7 @@ from campaign_real.departing_motor import Bench, Departures, MovingShaft, PlainM
 from rig.backends.clock import VirtualClock
 from rig.backends.registry import Bench as OpenBench
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
-from rig.campaign.grid import Draw
+from rig.campaign.random_motors import Draw
 from rig.config import Experiment
 from rig.config.load import load
 from rig.model.bench import BenchParameters

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from campaign_real.before_the_tests import Stretch, before_the_tests
 from campaign_real.departing_motor import Bench, Departures, PlainMotor, Record, reading, relay_test
-from rig.campaign.grid import Draw, draw
+from rig.campaign.random_motors import Draw, draw
 from rig.config.campaign import Campaign
 from rig.run_folder.recording.recording import Recording, assembled, from_columns
 

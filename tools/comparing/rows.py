@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.campaign.grid import Draw, draw
+from rig.campaign.random_motors import Draw, draw
 from rig.config.campaign import Campaign
 from rig.control.relay import DualChannelRelay
 from rig.control.simulation import Sampling, simulate

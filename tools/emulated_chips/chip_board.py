@@ -7,7 +7,7 @@ from pathlib import Path
 
 from emulated_chips import build
 from emulated_chips.virtual_chip import VirtualChip, uno
-from rig.backends.emulated.bench import bench_parameters
+from rig.backends.emulated.bench_of_config import bench_parameters
 from rig.backends.links.usb_adapters import Adapter
 from rig.backends.serial.emulated.serial_board import SerialBoard
 from rig.config.schema import Emulated

@@ -14,7 +14,7 @@ from emulated_chips.pico_parameters import pico_parameters
 from emulated_chips.virtual_chip import VirtualChip, uno, variant_of
 from emulated_chips.virtual_pico import VirtualPico
 from rig.backends.backend import emulated_of
-from rig.backends.emulated.bench import bench_parameters
+from rig.backends.emulated.bench_of_config import bench_parameters
 from rig.backends.links.usb_adapters import Adapter
 from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.emulated.serial_board import SerialBoard

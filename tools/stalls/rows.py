@@ -19,7 +19,7 @@ from rig.backends.driver import Timeouts
 from rig.backends.registry import Bench as OpenBench
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
-from rig.campaign.grid import Draw, draw
+from rig.campaign.random_motors import Draw, draw
 from rig.config import Experiment
 from rig.config.campaign import Campaign
 from rig.config.load import load

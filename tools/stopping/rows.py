@@ -15,7 +15,7 @@ from campaign_real.departing_motor import Bench, Departures
 from campaign_real.kinds import Kind, departures_of, truth_of
 from rig.backends.registry import Bench as OpenBench
 from rig.backends.simulated.driver import SimulatedDriver
-from rig.campaign.grid import Draw, draw
+from rig.campaign.random_motors import Draw, draw
 from rig.config import Experiment
 from rig.config.campaign import Campaign
 from rig.config.schema import RelaySection, UntilSection

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rig.backends.backend import Line, emulated_of
 from rig.backends.driver import Timeouts
-from rig.backends.emulated.bench import bench_parameters
+from rig.backends.emulated.bench_of_config import bench_parameters
 from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.links.usb_port import check_adapter

@@ -74,7 +74,7 @@ class SimulatedBackend(Backend):
     @contextmanager
     def unopened(self, d: DeviceSetup) -> Iterator[Unopened]:
         """Raises ValueError without section ``emulated``."""
-        from rig.backends.emulated.bench import bench_parameters
+        from rig.backends.emulated.bench_of_config import bench_parameters
         from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
 
         emulated = emulated_of(d)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from rig.core.estimators import MAIN
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.path_kind import no_run
 from rig.run_folder.recording.reader import read_meta, read_result
@@ -19,7 +20,6 @@ from rig.run_folder.results import Answer, EstimateResult, FoundLawResult, RunMe
 
 Array = NDArray[np.float64]
 
-PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")
 COVERAGE = 2.0  # of the half widths in a budget
 TYPE_A = "scatter"  # the budget's line of the noise, which the covariance holds already
 
@@ -119,7 +119,7 @@ def of_result(name: str, folder: Path, meta: RunMeta, result: RunResult, notes: 
     if result.budget and answer.u95:
         scale = np.array([1.0 / numbers[0], 1.0 / numbers[1], 1.0]) / COVERAGE
         lines = {
-            entry.source: np.array([known(getattr(entry, key)) for key in PARAMETERS]) * scale
+            entry.source: np.array([known(getattr(entry, key)) for key in MAIN]) * scale
             for entry in result.budget
             if entry.source != TYPE_A
         }
@@ -136,12 +136,12 @@ def _largest_V(answer: Answer) -> float:
 
 
 def _values(estimate: EstimateResult) -> tuple[Array, Array]:
-    tau, gain, friction = (known(estimate.value(name)) for name in PARAMETERS)
+    tau, gain, friction = (known(estimate.value(name)) for name in MAIN)
     covariance = np.array(estimate.covariance or (), dtype=np.float64)
-    at = [estimate.covariance_of.index(name) for name in PARAMETERS if name in estimate.covariance_of]
+    at = [estimate.covariance_of.index(name) for name in MAIN if name in estimate.covariance_of]
     if not (tau > 0.0 and gain > 0.0 and math.isfinite(friction)):
         raise NotComparableError("its estimate lacks tau, K or f_c")
-    if len(at) != len(PARAMETERS) or covariance.ndim != 2 or min(covariance.shape) <= max(at):
+    if len(at) != len(MAIN) or covariance.ndim != 2 or min(covariance.shape) <= max(at):
         raise NotComparableError("its estimate has no covariance: an older rig wrote it; `rig identify` it anew")
     scale = np.array([1.0 / tau, 1.0 / gain, 1.0])
     own = covariance[np.ix_(at, at)] * np.outer(scale, scale)

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.errors import CauseError
+from rig.core.estimators import MAIN
 from rig.core.signals import plain
 from rig.output.compare.compared_run import (
-    PARAMETERS,
     ComparedRun,
     NotComparableError,
     bench_differences,
@@ -73,7 +73,7 @@ class Scatter:
     source: str = "stated"
 
     def __post_init__(self) -> None:
-        if len(self.percent) != len(PARAMETERS) or not all(0.0 <= one <= 100.0 for one in self.percent):
+        if len(self.percent) != len(MAIN) or not all(0.0 <= one <= 100.0 for one in self.percent):
             raise ValueError("the scatter is three numbers from 0 to 100: of tau, K and f_c, in %")
 
 
@@ -240,20 +240,20 @@ def _run(run: ComparedRun, bench: int, off: tuple[Array, Array, float], beyond: 
         fc_V=float(numbers[2]),
         ci95={
             key: (float(value - normal * e), float(value + normal * e))
-            for key, value, e in zip(PARAMETERS, numbers, errors, strict=True)
+            for key, value, e in zip(MAIN, numbers, errors, strict=True)
         },
         laws=run.laws,
-        off_percent={key: _percent(key, float(one)) for key, one in zip(PARAMETERS, by, strict=True)},
+        off_percent={key: _percent(key, float(one)) for key, one in zip(MAIN, by, strict=True)},
         off_ci95_percent={
             key: (_percent(key, float(one - normal * e)), _percent(key, float(one + normal * e)))
-            for key, one, e in zip(PARAMETERS, by, error, strict=True)
+            for key, one, e in zip(MAIN, by, error, strict=True)
         },
         chance=chance,
         beyond_ci95_percent={
             key: (_percent(key, one.by - one.half), _percent(key, one.by + one.half))
-            for key, one in zip(PARAMETERS, beyond, strict=True)
+            for key, one in zip(MAIN, beyond, strict=True)
         },
-        beyond_chance={key: one.chance for key, one in zip(PARAMETERS, beyond, strict=True)},
+        beyond_chance={key: one.chance for key, one in zip(MAIN, beyond, strict=True)},
     )
 
 
@@ -305,7 +305,7 @@ def _beyond(runs: Sequence[ComparedRun], off: Sequence[Sequence[Off]], scatter: 
         words = f"No: {'the others scatter' if scatter is None else 'one motor scatters'} as much from run to run"
         words = f"{words} (chance {_chance(chance)})."
     elif names is None:
-        which = [WORDS[key] for key, one in zip(PARAMETERS, corrected, strict=True) if one < LEVEL]
+        which = [WORDS[key] for key, one in zip(MAIN, corrected, strict=True) if one < LEVEL]
         words = f"Yes: in {_listed(which)} by more than {of} does from run to run (chance {_chance(chance)})."
     elif 2 * len(names) < len(runs):
         words = f"Yes: {_listed(names)} {_differ(names)} by more than the others scatter (chance {_chance(chance)})."
@@ -317,11 +317,11 @@ def _beyond(runs: Sequence[ComparedRun], off: Sequence[Sequence[Off]], scatter: 
 
 def _scatter(used: Scatter | None, relative: Array, variances: Array) -> ScatterResult:
     if used is not None:
-        percent = dict(zip(PARAMETERS, used.percent, strict=True))
+        percent = dict(zip(MAIN, used.percent, strict=True))
         return ScatterResult(source=used.source, percent=percent, why=used.why)
     ones = np.ones((len(relative), 1))
     percent = {
-        key: 100.0 * math.sqrt(between_runs(ones, relative[:, p], variances[:, p])) for p, key in enumerate(PARAMETERS)
+        key: 100.0 * math.sqrt(between_runs(ones, relative[:, p], variances[:, p])) for p, key in enumerate(MAIN)
     }
     why = f"the scatter of these {len(relative)} runs beyond their noise; each run is judged by that of the others"
     return ScatterResult(source="runs", percent=percent, why=why)
@@ -356,7 +356,7 @@ def _trends(runs: Sequence[ComparedRun], relative: Array, variances: Array) -> l
                 over=over, parameter=key, unit=unit, slope=100.0 * line.slope, chance=line.chance, shows=shows,
                 ci95=(100.0 * (line.slope - line.half), 100.0 * (line.slope + line.half)),
             )
-            for key, line, shows in zip(PARAMETERS, lines, shown, strict=True)
+            for key, line, shows in zip(MAIN, lines, shown, strict=True)
         ]  # fmt: skip
     return found
 

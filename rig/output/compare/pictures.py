@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 
-from rig.core.estimators import LEADING
+from rig.core.estimators import LEADING, MAIN
 from rig.output.report.fitted import LABELS, autocorrelation
 from rig.output.report.model_curves import average, cycles_of, kept_or_fitted
 from rig.output.report.source import Array, ReportedRun
@@ -18,7 +18,6 @@ from rig.run_folder.recording.errors import IdentifyError, RecordingError
 from rig.run_folder.results import known
 from rig.run_folder.results.comparison import ComparedRunResult, ComparisonResult, TrendResult
 
-PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")
 FEWEST = 20  # residuals to draw
 MOST_LAID_OVER = 7  # runs: so many colours can be told apart
 SMOOTH = 9  # samples, of the tracking errors
@@ -57,7 +56,7 @@ def values(found: ComparisonResult, backend: str) -> Picture:
     figure = new_figure(0.9 + 0.26 * len(runs))
     panels = figure.subplots(1, 3, sharey=True)
     odd = {*(found.measurably.odd or ())}
-    for axes, key in zip(panels, PARAMETERS, strict=True):
+    for axes, key in zip(panels, MAIN, strict=True):
         scatter = 0.01 * known(found.scatter.percent[key])
         numbers = np.array([getattr(run, key) for run in runs])
         middle = float(np.median([n for n, run in zip(numbers, runs, strict=True) if run.name not in odd] or numbers))

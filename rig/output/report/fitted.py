@@ -10,9 +10,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from rig.core.estimators import MAIN
 from rig.model.real_motor import FramedMotor
 from rig.output.report.budget import budget_in_words
-from rig.output.report.model_curves import PARAMETERS, average, cycles_of, models, predict_cycles
+from rig.output.report.model_curves import average, cycles_of, models, predict_cycles
 from rig.output.report.source import Array, ReportedRun, Span
 from rig.output.report.style import (
     FAINT,
@@ -201,7 +202,7 @@ def budget(run: ReportedRun) -> Picture:
     places = [k + GROUP_GAP * row.absolute for k, row in enumerate(lines)]
     colours = [(LIMIT if row.absolute else INK) if row.is_sum else FAINT for row in lines]
     asked = run.result.ok_asks_u95_percent
-    for k, (axes, key) in enumerate(zip(panels, PARAMETERS, strict=True)):
+    for k, (axes, key) in enumerate(zip(panels, MAIN, strict=True)):
         shares = [row.percent[k] for row in lines]
         axes.barh(places, [share if math.isfinite(share) else 0.0 for share in shares], height=0.7, color=colours)
         for place, share, row in zip(places, shares, lines, strict=True):
@@ -242,13 +243,13 @@ def forest(run: ReportedRun) -> Picture:
 
 def forest_figure(run: ReportedRun) -> Figure:
     """``forest`` before it is laid out. Raises AbsentError without an estimate."""
-    estimates = {m: e for m, e in run.compared.items() if any(math.isfinite(known(e.value(k))) for k in PARAMETERS)}
+    estimates = {m: e for m, e in run.compared.items() if any(math.isfinite(known(e.value(k))) for k in MAIN)}
     if not estimates:
         raise AbsentError("There is no estimate to compare.")
     figure = new_figure(0.9 + 0.34 * len(estimates))
     panels = figure.subplots(1, 3, sharey=True)
     names = list(estimates)
-    for axes, key in zip(panels, PARAMETERS, strict=True):
+    for axes, key in zip(panels, MAIN, strict=True):
         for row, (name, estimate) in enumerate(estimates.items()):
             method = run.method_of(name)
             value = known(estimate.value(key))

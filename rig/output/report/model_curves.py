@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from rig.core.estimators import LEADING
+from rig.core.estimators import LEADING, MAIN
 from rig.identification.cycles import find_cycle
 from rig.identification.descent import Point, descend
 from rig.identification.identification import Identification, identify
@@ -25,7 +25,6 @@ from rig.run_folder.recording.errors import IdentifyError, RecordingError
 from rig.run_folder.recording.series import TimeSeries
 from rig.run_folder.results import EstimateResult, known
 
-PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")
 DIFFERENCE = 1e-6  # rad/s and rad, by which a start is moved to see its effect
 GAINS, STEPS = 1e-8, 10  # of a start: share of the squares that a step must gain, and steps at most
 
@@ -119,7 +118,7 @@ def motor_of(estimate: EstimateResult | None) -> Motor | None:
     """The estimated model; None if the estimate has no usable parameters."""
     if estimate is None:
         return None
-    tau, gain, fc = (known(estimate.value(key)) for key in PARAMETERS)
+    tau, gain, fc = (known(estimate.value(key)) for key in MAIN)
     if not (math.isfinite(fc) and tau > 0.0 and gain > 0.0 and fc >= 0.0):
         return None
     asym = known(estimate.asym_V)

@@ -26,6 +26,9 @@ export function show(node, visible) {
   if (node.hidden === visible) node.hidden = !visible;
 }
 
+/** For what the server does aside: longer than it waits for that, `_PATIENCE_S` in aside.py, and for what is before it. */
+export const ASIDE = { timeout_ms: 6_000_000 };
+
 /** Ask the server. Raises an Error whose message is for the reader. */
 export async function ask(path, body, { timeout_ms = 20000 } = {}) {
   const options = { signal: AbortSignal.timeout(timeout_ms), headers: { accept: "application/json" } };

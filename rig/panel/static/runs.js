@@ -1,6 +1,6 @@
 // Past runs: the list, two or more laid over each other from their first switch, and a run's report.
 
-import { ENTER_TICKS, ask, byId, element, setText, show } from "./dom.js";
+import { ASIDE, ENTER_TICKS, ask, byId, element, setText, show } from "./dom.js";
 import { axis, canPlot, join, plotIn } from "./plot.js";
 import { colour } from "./theme.js";
 import { PARAMETERS, fixed, moment, withInterval } from "./words.js";
@@ -91,7 +91,7 @@ export class Runs {
     } else this.#ticked.push(name);
     setText(byId("overlay-empty"), "Reading…");
     try {
-      if (!this.#read.has(name)) this.#read.set(name, await ask(`/api/runs/${encodeURIComponent(name)}`, undefined, { timeout_ms: 60000 }));
+      if (!this.#read.has(name)) this.#read.set(name, await ask(`/api/runs/${encodeURIComponent(name)}`, undefined, ASIDE));
     } catch (error) {
       this.#ticked = this.#ticked.filter((other) => other !== name);
       tick.checked = false;
@@ -135,7 +135,7 @@ export class Runs {
     if (number !== this.#compared) return;
     let shown;
     try {
-      const found = await ask(`/api/compare?${new URLSearchParams(names.map((name) => ["run", name]))}`, undefined, { timeout_ms: 90000 });
+      const found = await ask(`/api/compare?${new URLSearchParams(names.map((name) => ["run", name]))}`, undefined, ASIDE);
       shown = found.comparison === null ? [element("p", { className: "note", textContent: found.why })] : answers(found.comparison);
     } catch (error) {
       shown = [element("p", { className: "note", textContent: error.message })];

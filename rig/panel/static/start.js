@@ -1,6 +1,6 @@
 // START: check first, show what will happen, ask once. The sheet leaves Stop in reach.
 
-import { ask, byId, element, setText, show } from "./dom.js";
+import { ASIDE, ask, byId, element, setText, show } from "./dom.js";
 import { fixed } from "./words.js";
 
 const range = (pair) => (pair ? `${fixed(pair[0], 2)} … ${fixed(pair[1], 2)}` : "none");
@@ -35,7 +35,7 @@ export class Start {
     byId("check-lines").replaceChildren();
     show(byId("sheet-error"), false);
     try {
-      this.#showCheck(await ask("/api/check", {}, { timeout_ms: 120000 }));
+      this.#showCheck(await ask("/api/check", {}, ASIDE));
     } catch (error) {
       this.#refuse(error.message);
     }

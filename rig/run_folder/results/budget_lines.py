@@ -6,11 +6,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from rig.core.estimators import MAIN
 from rig.run_folder.results.estimates import known
 from rig.run_folder.results.identification import IdentificationResult
 from rig.run_folder.results.result import RunResult
-
-OF = ("tau_s", "K_rad_s_V", "fc_V")
 
 
 @dataclass(frozen=True)
@@ -34,12 +33,12 @@ def budget_lines(result: RunResult | IdentificationResult) -> list[BudgetLine]:
     answer = result.answer
     if answer is None or not answer.u95:
         return []
-    sizes = [known(answer.value(name)) for name in OF]
+    sizes = [known(answer.value(name)) for name in MAIN]
 
     def percent(parts: Mapping[str, float | None]) -> tuple[float, ...]:
         return tuple(
             100.0 * known(parts.get(name)) / size if size > 0.0 else math.nan
-            for name, size in zip(OF, sizes, strict=True)
+            for name, size in zip(MAIN, sizes, strict=True)
         )
 
     lines = [BudgetLine("u95", percent(answer.u95), is_sum=True)]

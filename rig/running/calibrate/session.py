@@ -89,7 +89,7 @@ def calibrate(
     gone   who has to be there while it drives, and is not: as of ``StopRequest``
     Raises NotWrittenError, Fault, ConfigError; RecordingError for a full disk.
     """
-    from rig.running.calibrate.bench import (
+    from rig.running.calibrate.hand_bench import (
         HandBench,  # scipy comes with it: a config that is refused need not wait for it
     )
 

@@ -157,7 +157,7 @@ def advisor_settings(session: Session, known: FramedMotor | None) -> AdvisorSett
             prior_percent=e.relay.until.model_doubt_percent / NORMAL_95,
             delay_s=session.delay.range_s if session.delay is not None and late else None,
         ),
-        room_of_tests(e, max(check.plus_V, check.minus_V), session.delay),
+        room_of_tests(e, check.moves_V, session.delay),
         reading_of(e, noise.std_rad, 0.0 if late else session.loop.latency_s),
         SMALLEST_TURN_LSB * e.sensor.curve.lsb_rad,
         noise.error,

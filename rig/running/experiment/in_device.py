@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from rig.backends.driver import RelayCommand, RelayDriver, StrokeDriver, StrokesCommand, StrokeTimes
 from rig.control.relay import RelayOnCounts
 from rig.control.strokes import Stroke, StrokeTiming
-from rig.control.strokes_on_counts import CountedTimes, StrokesOnCounts
+from rig.control.strokes_on_counts import StrokesOnCounts
 from rig.core.faults import Fault
 from rig.running.session import Session
 
@@ -25,15 +25,7 @@ def relay_in_device(
     if not isinstance(driver, RelayDriver):
         raise Fault("CONFIG_MISMATCH", f"relay.where is device, but {driver.backend} has no relay")
     command = driver.relay_command(*gains_V, z_bound_rad_s)
-    relay = RelayOnCounts(
-        command.centre_counts,
-        command.direction,
-        command.z_bound_count_ticks,
-        command.drives_V,
-        command.count_tick_rad_s,
-        gains_V,
-    )
-    return command, relay
+    return command, RelayOnCounts(command, gains_V)
 
 
 def strokes_in_device(
@@ -47,11 +39,4 @@ def strokes_in_device(
     if not isinstance(driver, StrokeDriver):
         raise Fault("CONFIG_MISMATCH", f"relay.where is device, but {driver.backend} runs no strokes: set it to host")
     command = driver.strokes_command(strokes, StrokeTimes(timing.stroke_s, timing.still_s), motion_rad)
-    law = StrokesOnCounts(
-        command.strokes,
-        command.centre_counts,
-        command.direction,
-        CountedTimes(command.stroke_ticks, command.still_ticks),
-        command.still_counts,
-    )
-    return command, law
+    return command, StrokesOnCounts(command)

@@ -12,10 +12,10 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from rig.backends.clock import MonotonicClock, PacedClock
-from rig.backends.driver import PulseDriver
+from rig.backends.driver import PulseDriver, RelayCommand
 from rig.config import Experiment
 from rig.config.schema import Method
-from rig.control.breakaway import BreakawayCheck, BreakawayFound, StrokePlan
+from rig.control.breakaway import BreakawayCheck, BreakawayFound
 from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange, SettledCycle
 from rig.control.homing import Homing
 from rig.control.hysteretic import HystereticRun
@@ -311,13 +311,10 @@ def breakaway_check(e: Experiment, drive_units: int | None = None) -> BreakawayC
         )
     b = e.breakaway
     return BreakawayCheck(
-        strokes.step_V,
         b.max_V,
         b.motion_rad,
         b.rest_s,
-        StrokePlan(
-            strokes.strokes_s, strokes.pause_s, strokes.watchdog_s, strokes.further, strokes.in_all, strokes.top_pause_s
-        ),
+        strokes,
         e.period_s,
         float if drive_units is None else replace(e.drive.map, full_units=drive_units).quantised,
     )
@@ -339,7 +336,7 @@ def check_breakaway(session: Session) -> None:
     session.found.breakaway = check
     guard = session.loop.guard
     guard.learn(guard_settings_of(e, check.noise_rad))
-    guard.static_V = max(check.plus_V, check.minus_V)
+    guard.static_V = check.moves_V
     guard.sign_proven = True
     differ = abs(check.plus_V - check.minus_V) / (check.plus_V + check.minus_V)
     if differ > FRICTION_DIFFERS:
@@ -354,11 +351,8 @@ def check_breakaway(session: Session) -> None:
 
 def flicker_of(session: Session) -> Flicker:
     """How long a reading of this bench may stay the same while the motor is driven, by the breakaway check."""
-    check, still_s = session.found.breakaway, STILL_S + session.loop.guard.settings.delay_s
-    if (
-        not isinstance(check, BreakawayCheck)
-        or check.noise_rad < FLICKERS_LSB * session.experiment.sensor.curve.lsb_rad
-    ):
+    check, still_s = session.found.checked, STILL_S + session.loop.guard.settings.delay_s
+    if check.noise_rad < FLICKERS_LSB * session.experiment.sensor.curve.lsb_rad:
         return Flicker(math.inf)
     samples_s = FLICKER_SAMPLES * session.experiment.period_s
     return Flicker(max(still_s, samples_s, 3.0 * check.longest_same_s))
@@ -369,8 +363,7 @@ def unshown_motion(session: Session, from_V: float = 0.0) -> UnshownMotion | Non
     check, settings = session.found.breakaway, session.loop.guard.settings
     if check is None:
         return None
-    moves_V = max(check.plus_V, check.minus_V)
-    return UnshownMotion(moves_V, settings.motion_rad, settings.delay_s, flicker_of(session), from_V)
+    return UnshownMotion(check.moves_V, settings.motion_rad, settings.delay_s, flicker_of(session), from_V)
 
 
 def test_relays(session: Session, most: int | None = None) -> None:
@@ -422,20 +415,34 @@ def _test_relay(
     stage = str(Stage.relay(number))
     session.note("gains", stage=stage, h1_V=pair_V[0], h2_V=pair_V[1], cycles=e.relay.cycles)
     watch = _watch_cycles(session, detector, stage)
-    if e.relay.where == "device":
-        command, on_counts = relay_in_device(session, pair_V, integral_bound_rad_s(e))
-        test_in_device = RelayTest(on_counts, detector, pair_V, e.relay.cycles, timeout_s)
-        test_in_device.unshown = unshown_motion(session, session.loop.guard.static_V)
-        session.loop.run_in_device(test_in_device, command, stage, watch)
-        if on_counts.bound_reached:
-            session.found.notes.append(f"{stage}: the relay's integral reached its bound in the device")
-    else:
-        law = RelayTest(relay, detector, pair_V, e.relay.cycles, timeout_s)
-        law.unshown = unshown_motion(session, session.loop.guard.static_V)
-        law.watch.wait(round(session.loop.latency_s / e.period_s))
-        law.ahead_s = expected_delay_s(e.device, session.delay or BenchDelay())
+    law, command = relay_law(session, (relay, detector), pair_V, e.relay.cycles, timeout_s)
+    law.unshown = unshown_motion(session, session.loop.guard.static_V)
+    if command is None:
         session.loop.run(law, stage, watch)
+    else:
+        session.loop.run_in_device(law, command, stage, watch)
+        if law.relay.bound_reached:
+            session.found.notes.append(f"{stage}: the relay's integral reached its bound in the device")
     session.found.cycle = SettledCycle(*pair_V, *detector.mean())
+
+
+def relay_law(
+    session: Session,
+    shared: tuple[DualChannelRelay, CycleDetector],
+    gains_V: tuple[float, float],
+    cycles: int,
+    timeout_s: float,
+) -> tuple[RelayTest, RelayCommand | None]:
+    """A relay test with the relay of the loop; or with the device's own, and the command that it gets."""
+    relay, detector = shared
+    e = session.experiment
+    if e.relay.where == "device":
+        command, on_counts = relay_in_device(session, gains_V, relay.z_bound_rad_s)
+        return RelayTest(on_counts, detector, gains_V, cycles, timeout_s), command
+    law = RelayTest(relay, detector, gains_V, cycles, timeout_s)
+    law.watch.wait(round(session.loop.latency_s / e.period_s))
+    law.ahead_s = expected_delay_s(e.device, session.delay or BenchDelay())
+    return law, None
 
 
 def _end_relay_tests(session: Session, relay: DualChannelRelay) -> None:

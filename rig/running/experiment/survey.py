@@ -118,7 +118,7 @@ def tell_apart(session: Session) -> None:
         return
     pair_V = third_gains_V(session)
     check = session.found.breakaway
-    starts = pair_V is not None and check is not None and starts_from_rest(pair_V, max(check.plus_V, check.minus_V))
+    starts = pair_V is not None and check is not None and starts_from_rest(pair_V, check.moves_V)
     added = " and a relay test of a third amplitude were" if starts else " was"
     session.found.notes.append(f"thorough: {why}; a survey{added} added")
     if pair_V is not None and not starts:

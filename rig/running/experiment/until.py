@@ -14,8 +14,6 @@ from typing import NamedTuple
 from rig.backends.driver import RelayCommand, StrokesCommand
 from rig.config.schema import UntilSection
 from rig.control.bounded import Bounded, Bounds
-from rig.control.breakaway import BreakawayCheck
-from rig.control.excitation import RelayTest
 from rig.control.law import Law, Rest
 from rig.control.rising_gains import FIRST, RisingGains, SwingRoom
 from rig.control.slow_down import SlowDown
@@ -30,7 +28,7 @@ from rig.run_folder.recording.stage import StageKind
 from rig.run_folder.results import LiveResult, StoppedResult
 from rig.running.experiment import stages
 from rig.running.experiment.advisers import Advisers, advisers_of, advisor_settings
-from rig.running.experiment.in_device import relay_in_device, strokes_in_device
+from rig.running.experiment.in_device import strokes_in_device
 from rig.running.preflight.room_to_stop import expected_delay_s, swing_rad
 from rig.running.session import MOST_TESTS, Session
 
@@ -127,12 +125,12 @@ class _Tests:
     def _rest(self, what: _Next) -> Law:
         """A rest: after a test that was broken off in its swing, the shaft is first kept from coasting too far."""
         e, guard = self._session.experiment, self._session.loop.guard
-        check = self._session.found.breakaway
-        if not what.at_once or e.motor is None or check is None:
+        if not what.at_once or e.motor is None:
             return Rest(what.rest_s)
         slope_V_s_rad = e.drive.supply_V / e.motor.no_load_speed_rad_s
-        moves_V = max(check.plus_V, check.minus_V)
-        return SlowDown(guard, what.rest_s, moves_V, slope_V_s_rad, e.drive.max_V, e.period_s)
+        return SlowDown(
+            guard, what.rest_s, self._session.found.checked.moves_V, slope_V_s_rad, e.drive.max_V, e.period_s
+        )
 
     def _prove(self, stage: str, first_V: float, way: int = 0) -> float:
         """Prove by pushes that the reading shows the shaft's motion. Returns the level that moved it, V.
@@ -142,13 +140,10 @@ class _Tests:
         way      direction of the first push; 0: inward
         Raises Fault SENSOR_STUCK.
         """
-        session, e, check = self._session, self._session.experiment, self._session.found.breakaway
-        if check is None:
-            return first_V
-        moves_V, settings = max(check.plus_V, check.minus_V), session.loop.guard.settings
+        session, e, check = self._session, self._session.experiment, self._session.found.checked
+        moves_V, settings = check.moves_V, session.loop.guard.settings
         # noise may have looked like a first motion: then the drives just above that level need not move the shaft
-        sure_V = check.surely_V if isinstance(check, BreakawayCheck) else moves_V
-        last_V = min(max(sure_V, STRONGEST * moves_V if math.isinf(first_V) else moves_V), e.drive.max_V)
+        last_V = min(max(check.surely_V, STRONGEST * moves_V if math.isinf(first_V) else moves_V), e.drive.max_V)
         law = Pushes(
             last_V if math.isinf(first_V) else min(first_V, e.drive.max_V),
             last_V,
@@ -212,16 +207,10 @@ class _Tests:
 
     def _relay_law(self, test: RelayGains, stage: str) -> tuple[Law, RelayCommand | None]:
         """The law of a relay test, which is noted; and the command where the device runs it."""
-        session, e, gains_V = self._session, self._session.experiment, (test.h1_V, test.h2_V)
-        session.note("gains", stage=stage, h1_V=test.h1_V, h2_V=test.h2_V)
-        if e.relay.where == "device":
-            command, relay = relay_in_device(session, gains_V, stages.integral_bound_rad_s(e))
-            return RelayTest(relay, self._detector, gains_V, cycles=10**9, timeout_s=LONG_S), command
+        self._session.note("gains", stage=stage, h1_V=test.h1_V, h2_V=test.h2_V)
         self._relay.restart()  # as designed, and as in a device: its integral begins at 0
-        law = RelayTest(self._relay, self._detector, gains_V, cycles=10**9, timeout_s=LONG_S)
-        law.watch.wait(round(session.loop.latency_s / e.period_s))
-        law.ahead_s = expected_delay_s(e.device, session.delay or BenchDelay())
-        return law, None
+        shared, gains_V = (self._relay, self._detector), (test.h1_V, test.h2_V)
+        return stages.relay_law(self._session, shared, gains_V, cycles=10**9, timeout_s=LONG_S)
 
     def _stroke_law(self, test: Strokes) -> tuple[Law, StrokesCommand | None]:
         """The same of a stroke test."""
@@ -229,9 +218,8 @@ class _Tests:
         if e.relay.where == "device":
             command, on_counts = strokes_in_device(session, test.strokes, timing)
             return on_counts, command
-        check = session.found.breakaway
         # a test may be designed for a shaft that breaks away sooner than the check has seen it to
-        moves_V = 0.0 if check is None else max(check.plus_V, check.minus_V)
+        moves_V = session.found.checked.moves_V
         return StrokeTest(test.strokes, timing, e.breakaway.motion_rad, moves_V), None
 
     def _numbered(self, kind: StageKind) -> str:

@@ -9,10 +9,10 @@ from collections.abc import Iterator
 from functools import lru_cache
 from itertools import product
 from math import ceil
-from typing import NamedTuple
 
 from rig.backends.registry import backend_of
 from rig.config.schema import DeviceSetup, Experiment
+from rig.control.breakaway import StrokePlan
 
 UNSEEN_RAD = 0.5  # farthest that a shaft may turn in the breakaway check while the sensor does not show it
 FRICTION_DIFFERS = 0.1  # friction of one way differs from the mean of both ways by this share of it, at most
@@ -35,47 +35,7 @@ _FINEST = 12  # halvings
 _ROUNDING = 1e-9
 
 
-class BreakawayStrokes(NamedTuple):
-    """The strokes of the breakaway check.
-
-    strokes_s   lengths, whole periods: that of each pair, the weakest first
-    pause_s     after each, whole periods
-    step_V      by how much the level rises from pair to pair
-    watchdog_s  watchdog time of the device in the check; where the device has none, or one that arming does not set,
-                the longest delay of a tick that the bound allows
-    unseen_rad  farthest that the shaft turns in the check if the sensor shows nothing
-    further     pairs at breakaway.max_V that may follow a motion that was seen: the same bound holds for them alone
-    in_all      further pairs at most, however often a motion is seen between them
-    top_pause_s after each stroke of a pair that repeats breakaway.max_V, whole periods
-    """
-
-    strokes_s: tuple[float, ...]
-    pause_s: float
-    step_V: float
-    watchdog_s: float
-    unseen_rad: float
-    further: int = 0
-    in_all: int = 0
-    top_pause_s: float = 0.0
-
-    @property
-    def pairs(self) -> int:
-        """Number of planned pairs: those until breakaway.max_V, and those that repeat it."""
-        return len(self.strokes_s)
-
-    def levels(self, max_V: float) -> int:
-        """Number of different levels up to ``max_V``: the planned pairs without those that repeat the last one."""
-        return max(ceil(max_V / self.step_V - _ROUNDING), 1)
-
-    def longest_s(self, max_V: float) -> float:
-        """How long all pairs take at most, s."""
-        first_at_top = self.levels(max_V)
-        strokes_s = (*self.strokes_s, *self.strokes_s[-1:] * self.in_all)
-        pauses_s = (self.pause_s if k < first_at_top else self.top_pause_s for k in range(len(strokes_s)))
-        return 2.0 * (sum(strokes_s) + sum(pauses_s))
-
-
-def breakaway_strokes(e: Experiment, max_V: float | None = None) -> BreakawayStrokes | None:
+def breakaway_strokes(e: Experiment, max_V: float | None = None) -> StrokePlan | None:
     """Strokes whose unseen travel is within ``UNSEEN_RAD``; None where those of one period exceed it.
 
     max_V  instead of the config's
@@ -101,8 +61,8 @@ def breakaway_strokes(e: Experiment, max_V: float | None = None) -> BreakawayStr
     if e.motor is None:
         raise ValueError("the config does not say motor.no_load_speed_rad_s")
     max_V = e.breakaway.max_V if max_V is None else max_V
-    best: BreakawayStrokes | None = None
-    tried: list[BreakawayStrokes] = []
+    best: StrokePlan | None = None
+    tried: list[StrokePlan] = []
     longest = max(int(_LONGEST_STROKE_S / e.period_s + _ROUNDING), 1)
     for watchdog_s in _check_watchdogs_s(e.device):
         found = [_strokes_up_to(periods, e, max_V, watchdog_s) for periods in _lengths(longest)]
@@ -137,7 +97,7 @@ def has_strokes(e: Experiment, max_V: float) -> bool:
     )
 
 
-def _further(e: Experiment, strokes: BreakawayStrokes, max_V: float) -> int:
+def _further(e: Experiment, strokes: StrokePlan, max_V: float) -> int:
     """How many pairs at max_V are within the bound by themselves."""
     for pairs in range(1, _MOST_FURTHER + 1):
         strokes_s = pairs * strokes.strokes_s[-1:]
@@ -155,7 +115,7 @@ def _lengths(longest: int) -> Iterator[int]:
 
 
 def _moved_rad(
-    e: Experiment, strokes: BreakawayStrokes, max_V: float, *, friction: float = 0.5, beyond_noise: bool = False
+    e: Experiment, strokes: StrokePlan, max_V: float, *, friction: float = 0.5, beyond_noise: bool = False
 ) -> float:
     """Rough travel of a slow reference motor by all strokes of one way, rad.
 
@@ -165,7 +125,7 @@ def _moved_rad(
     beyond_noise  less what the check takes off each stroke for a noise of a sixth of breakaway.motion_rad
     """
     assert e.motor is not None
-    first_at_top = max(ceil(max_V / strokes.step_V - _ROUNDING), 1)
+    first_at_top = strokes.levels(max_V)
     levels = _levels(strokes.pairs, strokes.step_V, max_V)
     driven_rad_s2 = 0.5 / friction * e.motor.no_load_speed_rad_s * max_V / e.drive.supply_V / e.limits.coast_tau_s
     noise_rad = e.breakaway.motion_rad / 6.0
@@ -210,9 +170,7 @@ def _levels(pairs: int, step_V: float, max_V: float) -> list[float]:
     return [min((k + 1) * step_V / max_V, 1.0) for k in range(pairs)]
 
 
-def _strokes_up_to(
-    periods: int, e: Experiment, max_V: float, watchdog_s: float, repeats: int = 0
-) -> BreakawayStrokes | None:
+def _strokes_up_to(periods: int, e: Experiment, max_V: float, watchdog_s: float, repeats: int = 0) -> StrokePlan | None:
     """Strokes of at most so many periods, shorter at higher levels; None where nothing is within the bound.
 
     repeats  further planned pairs at max_V
@@ -228,10 +186,10 @@ def _strokes_up_to(
         wanted = (int((top_s / level - watchdog_s) / e.period_s + _ROUNDING) for level in levels)
         return tuple(e.period_s * min(max(n, 1), periods) for n in wanted)
 
-    def strokes(strokes_s: tuple[float, ...]) -> BreakawayStrokes:
+    def strokes(strokes_s: tuple[float, ...]) -> StrokePlan:
         unseen_rad = _unseen_rad(*_sheet(e.device), max_V, tuple(levels), strokes_s, watchdog_s)
         pause_s = (cycle - periods) * e.period_s
-        return BreakawayStrokes(strokes_s, pause_s, step_V, watchdog_s, unseen_rad, top_pause_s=pause_s)
+        return StrokePlan(strokes_s, pause_s, pause_s, step_V, watchdog_s, unseen_rad)
 
     low, high = 0.0, (periods * e.period_s + watchdog_s) * (1.0 + _ROUNDING)
     longest = strokes(shaped_s(high))

@@ -36,7 +36,7 @@ from modbus_device import (
 )
 from pymodbus.client.mixin import ModbusClientMixin
 
-from rig.backends.emulated.bench import bench_parameters
+from rig.backends.emulated.bench_of_config import bench_parameters
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.modbus.emulated.io_block import ExecutedDrive, IoBlock
 from rig.model.bench import BenchModel

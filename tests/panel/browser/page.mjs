@@ -1,23 +1,23 @@
 // A user before the panel: opens it, checks, starts, stops, reads the report, lays runs over each other, jogs, and
 // loses the connection in each way there is. It prints what the page showed, as one JSON object; the test judges it.
 //
-//   node page.mjs '{"url", "panel_pid", "runs", "config", "calibrate_config", "jog_config", "shared_url", "password", "shots"}'
+//   node page.mjs '{"url", "panel_pid", "runs", "config", "calibrate_config", "jog_config", "shared_url", "password", "shots", "patience_ms"}'
 //
 // config: the file that the panel starts; calibrate_config, jog_config: what it becomes before the calibration and the
-// jogs; shared_url, password: of a panel that gives several browsers a session; shots: folder for pictures or null
+// jogs; shared_url, password: of a panel that gives several browsers a session; shots: folder for pictures or null;
+// patience_ms: longer than any machine holds a process up
 
 import { copyFileSync, existsSync, readFileSync, readdirSync } from "node:fs";
 import { chromium } from "playwright-core";
 
-const { url, panel_pid, runs, config, calibrate_config, jog_config, shared_url, password, shots } = JSON.parse(process.argv[2]);
-const PATIENCE_MS = 60_000; // a shared machine may hold a browser up for long
+const { url, panel_pid, runs, config, calibrate_config, jog_config, shared_url, password, shots, patience_ms } = JSON.parse(process.argv[2]);
 const FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"];
 const seen = { complaints: [], stops: 0, unnamed: [], heard: {} };
 let page;
 
 /** Wait until this is true of the page; fails with its name. */
 async function until(name, true_, ...given) {
-  await page.waitForFunction(true_, given, { timeout: PATIENCE_MS, polling: 20 }).catch(() => {
+  await page.waitForFunction(true_, given, { timeout: patience_ms, polling: 20 }).catch(() => {
     throw new Error(`it never happened: ${name}`);
   });
 }
@@ -27,7 +27,7 @@ const picture = async (name) => shots && page.screenshot({ path: `${shots}/${nam
 
 async function open(context, address) {
   const opened = await context.newPage();
-  opened.setDefaultTimeout(PATIENCE_MS);
+  opened.setDefaultTimeout(patience_ms);
   opened.on("pageerror", (error) => seen.complaints.push(String(error)));
   opened.on("console", (message) => message.type() === "error" && seen.complaints.push(message.text()));
   opened.on("request", (request) => (seen.stops += request.url().endsWith("/api/stop") ? 1 : 0));
@@ -74,7 +74,7 @@ async function hear(view) {
 const sleep = (ms) => new Promise((done) => setTimeout(done, ms));
 
 async function eventually(name, true_) {
-  const until_ms = performance.now() + PATIENCE_MS;
+  const until_ms = performance.now() + patience_ms;
   while (!true_()) {
     if (performance.now() > until_ms) throw new Error(`it never happened: ${name}`);
     await sleep(20);

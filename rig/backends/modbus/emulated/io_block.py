@@ -17,7 +17,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
-from rig.backends.emulated.bench import bench_parameters
+from rig.backends.emulated.bench_of_config import bench_parameters
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.modbus.emulated.io_block_registers import RANGES, BlockRegisters
 from rig.backends.modbus.registers import Table

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from rig.backends.emulated.bench import bench_parameters
+from rig.backends.emulated.bench_of_config import bench_parameters
 from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.emulated.line_faults import CorruptionRate

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from rig.backends.emulated.bench import bench_parameters
+from rig.backends.emulated.bench_of_config import bench_parameters
 from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.links.usb_adapters import Adapter
 from rig.backends.serial.emulated import firmware_build

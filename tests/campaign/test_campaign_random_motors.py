@@ -11,8 +11,8 @@ from evidence import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.campaign import grid
-from rig.campaign.grid import CampaignError
+from rig.campaign import random_motors
+from rig.campaign.random_motors import CampaignError
 from rig.config import Campaign
 from rig.config.campaign import CampaignMotor, CampaignRelay, CampaignSampling, CampaignSensor, CorrelatedNoise
 from rig.model.describing_function import predict
@@ -23,7 +23,7 @@ GRID = Campaign(name="grid", experiments=1)
 @settings(max_examples=examples(60), deadline=None)
 @given(st.integers(0, 10**7), st.integers(0, 2**31 - 1))
 def test_every_draw_is_of_the_grid(number: int, seed: int) -> None:
-    one = grid.draw(Campaign(name="grid", experiments=1, seed=seed), number)
+    one = random_motors.draw(Campaign(name="grid", experiments=1, seed=seed), number)
     assert 0.08 <= one.tau_s <= 0.5
     assert 0.1 <= one.fc_V <= 0.5
     assert 0.3 <= one.h2_V - one.fc_V <= 1.0
@@ -38,7 +38,7 @@ def test_every_draw_is_of_the_grid(number: int, seed: int) -> None:
 
 
 def test_draws_fill_the_grid() -> None:
-    ones = [grid.draw(GRID, k) for k in range(400)]
+    ones = [random_motors.draw(GRID, k) for k in range(400)]
     thirds = [np.histogram([one.fc_V for one in ones], 3, (0.1, 0.5))[0]]
     thirds += [np.histogram([math.log(one.tau_s) for one in ones], 3, (math.log(0.08), math.log(0.5)))[0]]
     assert np.min(thirds) > 60
@@ -46,25 +46,26 @@ def test_draws_fill_the_grid() -> None:
 
 
 def test_an_experiment_does_not_depend_on_the_others_or_on_what_disturbs_it() -> None:
-    forwards = [grid.draw(GRID, k) for k in range(5)]
-    backwards = [grid.draw(GRID, k) for k in reversed(range(5))]
+    forwards = [random_motors.draw(GRID, k) for k in range(5)]
+    backwards = [random_motors.draw(GRID, k) for k in reversed(range(5))]
     assert forwards == backwards[::-1]
     noisy = GRID.model_copy(update={"sensor": CampaignSensor(noise_rad=0.01, lsb_rad=0.0), "experiments": 99})
-    assert [grid.draw(noisy, k) for k in range(5)] == forwards
-    assert grid.draw(GRID.model_copy(update={"seed": 2}), 0) != forwards[0]
+    assert [random_motors.draw(noisy, k) for k in range(5)] == forwards
+    assert random_motors.draw(GRID.model_copy(update={"seed": 2}), 0) != forwards[0]
 
 
 def test_streams_are_independent() -> None:
-    draws = [grid.stream(GRID, k, name).standard_normal(4000) for k in range(3) for name in grid.STREAMS]
+    names = random_motors.STREAMS
+    draws = [random_motors.stream(GRID, k, name).standard_normal(4000) for k in range(3) for name in names]
     correlation = np.corrcoef(draws) - np.eye(len(draws))
     assert np.abs(correlation).max() < 5.0 / math.sqrt(4000)
 
 
 def test_one_experiment_is_simulated_twice_alike_and_its_second_test_otherwise() -> None:
     campaign = GRID.model_copy(update={"relay": CampaignRelay(second={"amplitude_ratio": 0.75}, cycles=4)})
-    one = grid.draw(campaign, 7)
-    (first, rows), (again, _) = grid.simulate(campaign, one), grid.simulate(campaign, one)
-    second, second_rows = grid.simulate(campaign, one, second=True)
+    one = random_motors.draw(campaign, 7)
+    (first, rows), (again, _) = random_motors.simulate(campaign, one), random_motors.simulate(campaign, one)
+    second, second_rows = random_motors.simulate(campaign, one, second=True)
     assert np.array_equal(first.y_rad, again.y_rad)
     assert np.array_equal(first.t_u_s, again.t_u_s)
     assert np.ptp(second.y_rad[second_rows]) == pytest.approx(0.75 * np.ptp(first.y_rad[rows]), rel=0.1)
@@ -76,7 +77,7 @@ def test_one_experiment_is_simulated_twice_alike_and_its_second_test_otherwise()
 @pytest.mark.parametrize("number", range(6))
 def test_the_record_holds_the_cycles_that_were_asked_for(number: int) -> None:
     campaign = Campaign(name="grid", experiments=1, relay=CampaignRelay(settling_cycles=5, cycles=8))
-    test, rows = grid.simulate(campaign, grid.draw(campaign, number))
+    test, rows = random_motors.simulate(campaign, random_motors.draw(campaign, number))
     edges = np.flatnonzero(np.diff(np.sign(test.z_rad_s[rows])) < 0.0)
     assert edges.size == 9
     assert edges[0] == 0
@@ -87,7 +88,7 @@ def test_the_record_holds_the_cycles_that_were_asked_for(number: int) -> None:
 
 def test_rows_of_a_test_that_never_oscillates_are_all_of_it() -> None:
     campaign = GRID.model_copy(update={"motor": CampaignMotor(static_ratio=40.0)})
-    test, rows = grid.simulate(campaign, grid.draw(campaign, 0))
+    test, rows = random_motors.simulate(campaign, random_motors.draw(campaign, 0))
     assert np.ptp(test.true_y_rad) == 0.0
     assert rows == slice(0, test.t_s.size)
 
@@ -95,8 +96,8 @@ def test_rows_of_a_test_that_never_oscillates_are_all_of_it() -> None:
 def test_times_jitter_as_much_as_they_should() -> None:
     sampling = CampaignSampling(jitter_s=0.001, delay_s=(0.003, 0.004), delay_jitter_s=0.002)
     campaign = GRID.model_copy(update={"sampling": sampling})
-    one = grid.draw(campaign, 1)
-    test, _ = grid.simulate(campaign, one)
+    one = random_motors.draw(campaign, 1)
+    test, _ = random_motors.simulate(campaign, one)
     late = test.t_s - 0.01 * np.arange(test.t_s.size)
     delays = test.t_u_s - test.t_s - one.delay_s
     for jitter, half in ((late, 0.001), (delays, 0.002)):
@@ -106,22 +107,22 @@ def test_times_jitter_as_much_as_they_should() -> None:
 
 def test_correlated_noise_is_stationary_and_forgets_as_it_should() -> None:
     white = np.random.default_rng(3).standard_normal((200, 300))
-    x = np.array([grid.autoregressive(row, 0.9) for row in white])
+    x = np.array([random_motors.autoregressive(row, 0.9) for row in white])
     assert x[:, 0] == pytest.approx(white[:, 0])
     assert np.mean(x**2, axis=0)[[0, 1, 20, 299]] == pytest.approx([1.0] * 4, abs=0.35)
     assert np.mean(x**2) == pytest.approx(1.0, abs=0.06)
     assert np.mean(x[:, 5:] * x[:, :-5]) == pytest.approx(0.9**5, abs=0.06)
     sensor = CampaignSensor(noise_rad=0.0, lsb_rad=0.0, correlated=CorrelatedNoise(coefficient=0.9, std_rad=0.004))
     campaign = GRID.model_copy(update={"sensor": sensor})
-    one = grid.draw(campaign, 2)
-    test, _ = grid.simulate(campaign, one)
+    one = random_motors.draw(campaign, 2)
+    test, _ = random_motors.simulate(campaign, one)
     assert np.std(test.y_rad - test.true_y_rad - one.offset_rad) == pytest.approx(0.004, rel=0.3)
 
 
 def test_ranges_without_a_slow_cycle_are_refused_in_two_lines() -> None:
     campaign = GRID.model_copy(update={"relay": CampaignRelay(least_samples=5000)})
     with pytest.raises(CampaignError, match="5000 samples") as caught:
-        grid.draw(campaign, 0)
+        random_motors.draw(campaign, 0)
     again = pickle.loads(pickle.dumps(caught.value))  # as a worker hands it over: else its pool counts as killed
     assert (str(again), again.cause) == (str(caught.value), caught.value.cause)
     assert "widen" in again.cure

@@ -17,9 +17,9 @@ from rig.config.schema import DeviceSetup
 from rig.config.yaml12 import parse
 from rig.core.faults import Fault
 from rig.run_folder.live.stop_flag import StopFlag
-from rig.running.calibrate import bench as module
-from rig.running.calibrate.bench import HandBench
+from rig.running.calibrate import hand_bench as module
 from rig.running.calibrate.dialogue import Hold, Read, Refusal
+from rig.running.calibrate.hand_bench import HandBench
 
 
 @pytest.fixture(scope="module")
