@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from rig.run_folder.recording import log_mends
-from rig.run_folder.recording.csv_table import CsvTable, CsvText, is_date, is_number, shown
+from rig.run_folder.recording.csv_table import CsvTable, CsvText
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.log_format import (
     CURRENT_CAUSE,
@@ -33,6 +33,7 @@ from rig.run_folder.recording.log_format import (
     usual_places,
     words_of,
 )
+from rig.run_folder.recording.log_lines import is_number, shown
 from rig.run_folder.recording.recording import MIN_ROWS, Columns, Floats, Integers, Recording, assembled, require_rising
 from rig.run_folder.recording.servo_law import OwnLoop, ServoLaw
 
@@ -47,24 +48,18 @@ def read_log(path: Path, log: LogFormat) -> list[Recording]:
 
     Separators, comments and decimal commas are as for ``read_csv``. Without a line of names the columns are numbered
     from 1; if there are no others than those of ``log``, they are time, drive, and position or velocity, in this order.
-    A first line with fewer fields than the second is torn, and is left out. What wraps or lost its sign is put right
+    What is no row is left out (``log_lines``). What wraps or lost its sign is put right
     (``log_mends``). A velocity is summed up to a position.
 
     The notes say which column was taken for what, and what was put right. Raises RecordingError.
     """
     text = CsvText.of(path)
-    numbers, notes = text.numbers, list[str]()
-    if len(numbers) > 1 and len(text.fields(numbers[0])) < len(text.fields(numbers[1])):
-        notes.append(f"line {numbers[0]}, the first, is torn and was left out")
-        numbers = numbers[1:]
-    first = text.fields(numbers[0])
-    has_names = not all(is_number(field) or is_date(field) for field in first if field)
-    rows = numbers[1:] if has_names else numbers
-    if len(rows) < MIN_ROWS:
-        raise RecordingError(path, f"has {len(rows)} rows", f"record at least {MIN_ROWS}", numbers[0])
-    text = text.with_decimal_points(rows)
+    if len(text.rows) < MIN_ROWS:
+        raise RecordingError(path, f"has {len(text.rows)} rows", f"record at least {MIN_ROWS}", text.line)
+    text = text.with_decimal_points()
+    first, rows, has_names = text.header, text.rows, bool(text.names)
     choices = log.columns()
-    places = _places(path, numbers[0], first, has_names, choices)
+    places = _places(path, text.line, first, has_names, choices)
     called = {place: first[place] if has_names else str(place + 1) for place in places.values()}
     quantity_at = {place: quantity for quantity, place in places.items()}
     table = CsvTable(
@@ -78,23 +73,23 @@ def read_log(path: Path, log: LogFormat) -> list[Recording]:
         said = {q: (first[place], text.units[place] if text.units else "") for q, place in places.items()}
         if "drive" in said and says_current(*said["drive"]):
             cure = f"{CURRENT_CURE}; if this column holds that, rename it"
-            raise RecordingError(path, f"column {shown(said['drive'][0])}: {CURRENT_CAUSE}", cure, numbers[0])
-        _refuse_other_units(path, numbers[0], choices, said)
-    raw = table.columns()
+            raise RecordingError(path, f"column {shown(said['drive'][0])}: {CURRENT_CAUSE}", cure, text.line)
+        _refuse_other_units(path, text.line, choices, said)
+    raw, rows = table.of_log(text_notes := list(text.notes))
     for name, values in raw.items():
-        if float(np.abs(values).max()) > LARGEST:
-            row = int(np.argmax(np.abs(values)))
+        if float(np.nanmax(np.abs(values))) > LARGEST:
+            row = int(np.nanargmax(np.abs(values)))
             column = table.called[table.names.index(name)]
             raise RecordingError(path, f"column {column}: {values[row]:g} is too large", "correct this line", rows[row])
-    notes = [*text.notes, *notes, _taken({q: called[place] for q, place in places.items()}, log)]
+    notes = [*text_notes, _taken({q: called[place] for q, place in places.items()}, log)]
     if log.period_s is not None:
-        raw["t_s"] = np.arange(len(rows), dtype=np.float64)
+        raw["t_s"] = np.searchsorted(sorted([*text.rows, *text.torn]), rows).astype(np.float64)
     supply_V = log.supply_V
     if log.servo is None:
         raw["u_V"] = _drive_V(path, raw["u_V"], choices["drive"], log, rows, notes)
     else:
         supply_V = _supply_V(text, rows, first if has_names else (), log, notes)
-    runs = _runs(path, text, numbers[0] if has_names else None, raw, rows, log)
+    runs = _runs(path, text, text.line if has_names else None, raw, rows, log)
     recordings = []
     for number, run in enumerate(runs, 1):
         source = path if len(runs) == 1 else path.with_name(f"{path.name} (run {number} of {len(runs)})")
@@ -119,7 +114,8 @@ def _recording(source: Path, raw: Columns, rows: Sequence[int], log: LogFormat, 
     notes, choices = list(notes), log.columns()
     raw = _in_place(_once(raw | {"line": np.array(rows)}, notes), log)
     rows = raw.pop("line").tolist()
-    t_s, u_V = _times_s(raw, log, notes), raw["u_V"]
+    raw, rows = log_mends.in_order(raw | {"t_s": _times_s(raw, log, notes)}, rows, notes)
+    t_s, u_V = raw["t_s"], raw["u_V"]
     require_rising(source, t_s, rows)
     steps = None
     if "velocity" in choices:
@@ -129,6 +125,10 @@ def _recording(source: Path, raw: Columns, rows: Sequence[int], log: LogFormat, 
             steps = (t_s, u_V)
             rows, t_s, u_V = [rows[k] for k in summed.rows], t_s[summed.rows], u_V[summed.rows]
     else:
+        seen = np.flatnonzero(np.isfinite(raw["y_rad"]))
+        if seen.size < t_s.size:
+            steps = (t_s, u_V)
+            rows, t_s, u_V, raw["y_rad"] = [rows[k] for k in seen.tolist()], t_s[seen], u_V[seen], raw["y_rad"][seen]
         unit = choices["position"].unit
         scale = log.scale("position", unit)
         y_rad = scale * log_mends.unwrapped_position(raw["y_rad"], unit == "counts", 2.0 * np.pi / abs(scale), notes)
