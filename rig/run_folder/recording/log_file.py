@@ -13,6 +13,7 @@ from shlex import quote
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.run_folder.recording import log_mends
 from rig.run_folder.recording.csv_table import CsvTable, CsvText
@@ -87,6 +88,9 @@ def read_log(path: Path, log: LogFormat) -> list[Recording]:
     supply_V = log.supply_V
     if log.servo is None:
         raw["u_V"] = _drive_V(path, raw["u_V"], choices["drive"], log, rows, notes)
+        if log.direction is not None:
+            words = _words(path, text, text.line if has_names else None, rows, "direction", log.direction)
+            raw["u_V"] = _ways(path, words, log.direction, notes) * np.abs(raw["u_V"])
     else:
         supply_V = _supply_V(text, rows, first if has_names else (), log, notes)
     runs = _runs(path, text, text.line if has_names else None, raw, rows, log)
@@ -298,12 +302,35 @@ def _runs(
         second = 1.0 if log.time is None else 1.0 / log.scale("time", log.time.unit)
         times = log_mends.unwrapped_clock(raw["t_s"], motion, second, [])
         return [np.arange(run.start, run.stop) for run in log_mends.runs_of(times)]
-    first = text.fields(rows[0] if header is None else header)
-    place = _named_place(path, rows[0] if header is None else header, first, header is not None, "run", log.run)
-    of_row = [text.fields(row) for row in rows]
-    names = np.array([fields[place] if place < len(fields) else "" for fields in of_row])
+    names = _words(path, text, header, rows, "run", log.run)
     found, begins = np.unique(names, return_index=True)
     return [np.flatnonzero(names == found[k]) for k in np.argsort(begins)]
+
+
+def _words(
+    path: Path, text: CsvText, header: int | None, rows: Sequence[int], option: str, column: str
+) -> NDArray[np.str_]:
+    """What a column that somebody named or numbered says in each of these lines. Raises RecordingError."""
+    line = rows[0] if header is None else header
+    place = _named_place(path, line, text.header, header is not None, option, column)
+    return np.array([fields[place] if place < len(fields) else "" for fields in map(text.fields, rows)])
+
+
+def _ways(path: Path, words: NDArray[np.str_], column: str, notes: list[str]) -> Floats:
+    """1 or -1 for each row: which way its drive acts, by a column of two words; 0 stands between -1 and 1.
+
+    The larger number is the positive way, or the word that is not reverse, backward or ccw. Raises RecordingError.
+    """
+    back = ("R", "B")  # reverse, backward
+    there = sorted(
+        set(words.tolist()),
+        key=lambda word: (float(word) if is_number(word) else 0.0, word[:1].upper() not in back, word),
+    )
+    if len(there) != 2 and not (len(there) == 3 and is_number(there[1]) and float(there[1]) == 0.0):
+        cause = f"column {shown(column)} says {len(there)} things, such as {', '.join(map(shown, there[:3]))}"
+        raise RecordingError(path, cause, "give the column that says one of two directions: --direction COLUMN")
+    notes.append(f"the drive is positive where column {column} says {there[-1]}, and negative where {there[0]}")
+    return np.where(words == there[-1], 1.0, np.where(words == there[0], -1.0, 0.0))
 
 
 def _refuse_other_units(

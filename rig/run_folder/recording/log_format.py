@@ -30,7 +30,7 @@ UNITS["goal"] = UNITS["position"]
 USUAL_NAMES: Final = {
     "time": {
         "t", "time", "times", "timestamp", "millis", "micros", "ms", "us", "sec", "seconds", "zeit", "temps",
-        "tiempo", "tempo", "stamp", "elapsed", "时间", "時間",
+        "tiempo", "tempo", "stamp", "datetime", "elapsed", "时间", "時間",
     },
     "drive": {
         "u", "drive", "pwm", "duty", "volt", "volts", "voltage", "input", "command", "control", "motor", "spannung",
@@ -202,6 +202,7 @@ class LogFormat:
     run              name or number of the column that says which run a row is of; None: a time that begins again does
     drive_row        rows by which the drive stands too late, negative: too early; at most 5. -1: each row has the drive
                      that was set before its position was read, so all drives move up by a row
+    direction        name or number of the column that says which way the drive acts, where the drive has no sign
     time_row         the same of the time. -1: each row has the time of the row before
     goal, servo      of a log that a servo's own position loop made, in place of a drive
     Raises LogFormatError if a number is missing, useless or not positive.
@@ -217,6 +218,7 @@ class LogFormat:
     reversed: bool = False
     period_s: float | None = None
     run: str | None = None
+    direction: str | None = None
     drive_row: int = 0
     time_row: int = 0
     goal: LogColumn | None = None

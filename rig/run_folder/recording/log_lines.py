@@ -25,7 +25,7 @@ _NO_UNIT: Final = {"", "-", "1"}
 # The begin of a date or a time of day; and one as a whole: perhaps a date, then the time of day, perhaps with a zone.
 _DATE: Final = re.compile(r"\d{4}-\d\d?-\d\d?|\d\d?[./]\d\d?[./]\d{4}|\d\d?:\d\d")
 _STAMP: Final = re.compile(
-    r"(?:(\d+)[-./](\d+)[-./](\d+)[T ]+)?((?:\d\d?:){1,2}\d\d?(?:[.,]\d*)?)(?:Z|[+-]\d\d:?\d\d)?"
+    r"(?:(\d+)[-./](\d+)[-./](\d+)[T ]+)?((?:\d\d?:){1,2}\d\d?(?:[.,]\d*)?)(?: ?([AaPp])[Mm]|Z|[+-]\d\d:?\d\d)?"
 )
 _EPOCH: Final = date(2000, 1, 1).toordinal()
 _MONITOR: Final = re.compile(r"\s*\d\d?:\d\d:\d\d[.,]\d+\s*->\s?")  # what a serial monitor puts before a line
@@ -58,6 +58,8 @@ def seconds_of(text: str) -> float:
     seconds = 0.0
     for part in found[4].replace(",", ".").split(":"):
         seconds = 60.0 * seconds + float(part)
+    if found[5] is not None:
+        seconds = seconds % 43200.0 + (43200.0 if found[5] in "Pp" else 0.0)
     if found[1] is None:
         return seconds
     first, second, third = int(found[1]), int(found[2]), int(found[3])
