@@ -14,6 +14,7 @@ from rig.run_folder.recording.log_format import UNITS, LogColumn, LogFormat, par
 from rig.run_folder.recording.servo_law import ServoLaw, scale_of
 
 _COLUMN = "[COLUMN:]UNIT"
+_NUMBERS = ("counts_per_turn", "full", "supply_V", "direction", "drive_row", "time_row")
 _OLDEST_S = 0.5  # position of a log
 
 
@@ -89,6 +90,7 @@ _OPTIONS = (
     click.option("--reversed", "is_reversed", is_flag=True, help="A positive drive turns to falling positions."),
     click.option("--period", metavar="TIME", help="Of a log without a time: from row to row, such as 2ms."),
     click.option("--run", "run_column", metavar="COLUMN", help="Of a log of several runs: the column that says which."),
+    click.option("--direction", metavar="COLUMN", help="Of a drive without a sign: the column that says which way."),
     click.option("--drive-row", type=int, default=0, help="-1: each drive stands a row too late, and moves up."),
     click.option("--servo", "servo_model", metavar="MODEL", help="Of a log that this servo's own position loop made."),
     click.option("--gain", type=Gains(), metavar="P[,I,D]", help="Of --servo: its P; with I and D, which must be 0."),
@@ -113,7 +115,7 @@ def log_options(command: Callable[..., Any]) -> Callable[..., Any]:
     def with_log(**given: Any) -> Any:
         texts = {quantity: given.pop(quantity) for quantity in UNITS}
         period = given.pop("period")
-        rest = {name: given.pop(name) for name in ("counts_per_turn", "full", "supply_V", "drive_row", "time_row")}
+        rest = {name: given.pop(name) for name in _NUMBERS}
         rest |= {"run": given.pop("run_column"), "reversed": given.pop("is_reversed")}
         servo = _servo_law(given, rest, texts)
         log = None

@@ -175,7 +175,8 @@ def _columns(test: TimeSeries, span_rad: float, motor: Estimate | None) -> list[
             Objection(
                 "refused",
                 f"{name}: the drive is never negative, and the shaft turns both ways, the faster the larger the drive: "
-                "the drive's sign is missing; log it with the sign of the direction",
+                "the drive's sign is missing; log it with the sign of the direction, or say which column tells it: "
+                "--direction COLUMN",
             )
         ]
     if _turns_against_drive(test) and not _explains(test, motor):

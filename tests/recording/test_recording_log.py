@@ -85,6 +85,15 @@ def test_units(tmp_path: Path, log: LogFormat, u_V: float, y_rad: float) -> None
     assert (recording.t_s[1], recording.u_V[0], recording.y_rad[0]) == pytest.approx((1.0, u_V, y_rad))
 
 
+def test_a_column_that_says_which_way_gives_the_drive_its_sign(tmp_path: Path) -> None:
+    for back, forth in (("0", "1"), ("-1", "1"), ("REV", "FWD"), ("backward", "forward"), ("CCW", "CW")):
+        rows = "".join(f"{10 * k},{9 + k},{k},{forth if k % 2 else back}\n" for k in range(4))
+        log = LogFormat(LogColumn("ms"), LogColumn("V"), LogColumn("rad"), direction="way")
+        assert parse(tmp_path, f"t,u,y,way\n{rows}", log).u_V.tolist() == [-9.0, 10.0, -11.0, 12.0]
+    with pytest.raises(RecordingError, match="column 'y' says 4 things, such as '0', '1', '2'"):
+        parse(tmp_path, f"t,u,y,way\n{rows}", replace(log, direction="y"))
+
+
 def test_a_unit_that_is_left_out_is_that_of_samples_csv(tmp_path: Path) -> None:
     log = LogFormat(position=LogColumn("deg"))
     recording = parse(tmp_path, "t_s,u_V,angle\n0,1,0\n1,1,180\n2,1,90\n", log)

@@ -77,12 +77,18 @@ ODD = {  # for each: the log, what the error says, what to type by it
     ),
     "dates": (
         log("timestamp,u_V,y_rad", row="2026-01-02T03:04:05.{k:02d}0,{u},{y:.4f}"),
-        "column 'timestamp' holds dates", "--period 10ms",
+        "did you mean", "--time timestamp:s",
     ),
     "clock times": (
-        log("time;Spannung [V];Lage [°]", ";", row="12:00:00.{k:02d}0;{u};{y:.4f}"), "holds dates",
-        "--period 10ms --drive V --position deg",
+        log("time;Spannung [V];Lage [°]", ";", row="12:00:00.{k:02d}0;{u};{y:.4f}"), "did you mean",
+        "--time time:s --drive V --position deg",
     ),
+    "nanoseconds": (log("stamp_ns,u_V,y_rad", row="{k}0000000,{u},{y:.4f}"), "did you mean", "--time ns"),
+    "Chinese": (log("时间(s),电压(V),角度(deg)"), "did you mean", "--time s --drive V --position deg"),
+    "a plotter's labels": (
+        log("", row="ms:{k}0,pwm:{u},rad:{y:.4f}"), "did you mean", "--time ms --drive pwm --position rad"
+    ),
+    "a speed in turns": (log("t_s,u_V,speed_rev_s"), "of velocity rad/s", "--velocity speed_rev_s:UNIT"),
     "a speed": (log("t [s],u [V],omega [rad/s]"), "no column", "--time s --drive V --velocity rad/s"),
 }  # fmt: skip
 
@@ -96,7 +102,7 @@ def test_an_odd_log_is_refused_with_options_that_read_it(tmp_path: Path, name: s
         read(path)
     said = str(caught.value)
     assert words in said and options in said
-    typed = options.replace("UNIT", "V").split()
+    typed = options.replace("UNIT", "rpm" if "velocity" in options else "V").split()
     typed += [part for part in re.findall(r"of \w+ also ([^,;]+)", said) for part in part.split()]
     result = CliRunner().invoke(reading, [str(path), *typed])
     assert result.exit_code == 0, (result.output, result.exception)
@@ -133,22 +139,67 @@ def test_an_odd_log_is_refused_with_what_to_do(tmp_path: Path, text: str, option
     assert result.exit_code != 0 and cause in f"{result.output} {result.exception}"
 
 
-@pytest.mark.parametrize(
-    ("content", "names"),
-    [
-        (log("t_s,u_V,y_rad").replace("t_s", "Größe,t_s").replace("\n0", "\n1,0").encode("latin-1"), "is not UTF-8"),
-        (log("t_s,u_V,y_rad").encode("utf-16"), "is UTF-16"),
-        (log("t_s,u_V,y_rad").replace(",", ", ").replace(".", ",").replace(", ", ",").encode(), "has 6 fields"),
-    ],
-)
-def test_the_command_of_a_refusal_makes_a_file_that_is_read(tmp_path: Path, content: bytes, names: str) -> None:
+def test_a_log_with_decimal_commas_between_commas_is_refused_with_a_command_that_makes_it_plain(tmp_path: Path) -> None:
     path = tmp_path / "my log.csv"
-    path.write_bytes(content)
-    with pytest.raises(RecordingError, match=names) as caught:
+    path.write_text(log("t_s,u_V,y_rad").replace(",", ", ").replace(".", ",").replace(", ", ","))
+    with pytest.raises(RecordingError, match="has 6 fields") as caught:
         read(path)
-    command = caught.value.cure.partition("has one: ")[2] or caught.value.cure
-    subprocess.run(["sh", "-c", command], cwd=tmp_path, check=True)
+    subprocess.run(["sh", "-c", caught.value.cure.partition("has one: ")[2]], cwd=tmp_path, check=True)
     assert whole(read(tmp_path / "plain.csv"))
+
+
+LONG: Final = 10 * log("t_s,u_V,y_rad").splitlines()[1:]
+LONG[:] = [f"{0.01 * k:.2f}{row[4:]}" for k, row in enumerate(LONG)]
+
+
+@pytest.mark.parametrize(
+    ("content", "rows", "note"),
+    [
+        (log("Größe,t_s,u_V,y_rad", row="1,{t:.2f},{u},{y:.4f}").encode("latin-1"), 30, "Latin-1"),
+        (log("t_s,u_V,y_rad").encode("utf-16"), 30, "UTF-16"),
+        ("boot v1.2\nready!\n" + log("t_s,u_V,y_rad") + "done\n", 30, "3 lines are no rows"),
+        ("Writer\t2\nX0\t0.0\t0.0\n" + log("t_s\tu_V\ty_rad\tComment", "\t"), 30, "2 lines are no rows"),
+        ("\n".join(["t_s,u_V,y_rad", *LONG[:99], "0.9", "setup", "t_s,u_V,y_rad", *LONG[99:], ""]), 300, "3 lines"),
+        ("\n".join(["t_s,u_V,y_rad", *LONG[:9], "0.09,,0.1", *LONG[10:99], "0.99,1.5,nan", *LONG[100:], ""]), 298,
+         "2 rows lack a number"),
+        ("\n".join(["t_s,u_V,y_rad", *LONG[:9], LONG[10], LONG[9], *LONG[11:], ""]), 300, "2 rows stood in another"),
+        (log("", row='{{"t_s": {t:.2f}, "u_V": {u}, "y_rad": {y:.4f}}}'), 30, ""),
+        (log("", row="10:00:01.5 -> t_s:{t:.2f} u_V:{u} y_rad:{y:.4f}"), 30, ""),
+        (log("%t_s,name,u_V,y_rad", row="{t:.2f},joint,{u},{y:.4f}"), 30, ""),
+        (log("t_s,u_V,y_rad", row="2026-01-02T23:59:59.{k:02d}Z,{u},{y:.4f}"), 30, ""),
+    ],
+)  # fmt: skip
+def test_what_is_no_row_is_left_out_with_a_note(tmp_path: Path, content: str | bytes, rows: int, note: str) -> None:
+    path = tmp_path / "log.csv"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    recording = read(path)
+    assert len(recording) == rows and note in " ".join(recording.notes)
+    assert recording.t_s - recording.t_s[0] == pytest.approx(
+        0.01 * np.round(100.0 * (recording.t_s - recording.t_s[0]))
+    )
+    assert recording.y_rad[:9] == pytest.approx(Y_RAD[:9], abs=1e-4)
+
+
+def test_what_a_column_lacks_is_told_by_the_others(tmp_path: Path) -> None:
+    """A drive that is written where it changes stays in between; a row without a position tells the drive."""
+    path, rows = tmp_path / "log.csv", [row.split(",") for row in LONG]
+    steps = [
+        "t_s,u_V,y_rad",
+        *(f"{t},{u if k % 5 == 0 else ''},{y if k % 2 else ''}" for k, (t, u, y) in enumerate(rows)),
+    ]
+    path.write_text("\n".join([*steps, ""]))
+    recording = read(path)
+    assert recording.drive_steps is not None and recording.drive_steps[1].tolist() == [float(u) for _, u, _ in rows]
+    assert recording.y_rad.tolist() == [float(y) for _, _, y in rows[1::2]]
+    path.write_text(
+        "\n".join(["t_s,u_V,y_rad", *LONG[:9], "0.09,,0.1", *10 * [f"{LONG[10][:4]},,0.1"], *LONG[10:], ""])
+    )
+    with pytest.raises(RecordingError, match="u_V: is empty"):
+        read(path)
+    path.write_text(
+        "\n".join(["u_V,y_rad", *(row.partition(",")[2] for row in [*LONG[:9], "0.09,1.5", *LONG[10:]]), ""])
+    )
+    assert 9.0 * 0.01 not in read(path, LogFormat(period_s=0.01)).t_s  # a row that is lost takes its time with it
 
 
 def whole(recording: Recording) -> bool:

@@ -243,7 +243,7 @@ ROWS = "0,1,0.1\n1,1,0.2\n2,1,0.3\n"
             "t u y_deg\n" + ROWS.replace(",", " "),
             1,
             "such as --time t:UNIT --drive u:UNIT --position deg, with the column's own unit for UNIT: of time s,"
-            " ms or us, of drive V, mV, .* or percent$",
+            " ms, us or ns, of drive V, mV, .* or percent$",
         ),
         ("time_ms,voltage_mV,angle_deg\n" + ROWS, 1, "--time ms --drive mV --position deg$"),
         (
@@ -260,8 +260,7 @@ ROWS = "0,1,0.1\n1,1,0.2\n2,1,0.3\n"
         ("t_s,u_V,y_rad,t_u_s\n0,1,2,\n1,1,2,inf\n2,1,2,0\n", 3, "t_u_s: 'inf' is not a finite number"),
         ("t_s,u_V,y_rad,stage\n0,1,2,a\n1,1,2," + 99 * "a" + "\n2,1,2,a\n", 3, "stage: a name of 99 characters"),
         ('t_s,u_V,y_rad\n0,1,0.1\n1,"1,2\n2,1,0.3\n', 3, "broken quotes"),
-        (b"t_s,u_V,y_rad\n0,1,0.1\n1,\xff,2\n2,1,0.3\n", 3, "not UTF-8"),
-        (PLAIN.encode("utf-16"), None, "UTF-16"),
+        (b"t_s,u_V,y_rad\n0,1,0.1\n1,\xff,2\n2,1,0.3\n", 3, "'ÿ' is not a number"),
         (PLAIN.encode("utf-16-le"), 1, "binary"),
         (b"\x7fELF\0\0\0\n1\n", 1, "binary"),
     ],

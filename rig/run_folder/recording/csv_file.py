@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from shlex import quote
 from typing import Final
 
 import numpy as np
 
-from rig.run_folder.recording.csv_table import CsvTable, CsvText, is_date, is_number, shown
+from rig.run_folder.recording.csv_table import CsvTable, CsvText
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.log_format import (
     CURRENT_CAUSE,
@@ -27,8 +28,9 @@ from rig.run_folder.recording.log_format import (
     units_said,
     usual_places,
 )
-from rig.run_folder.recording.log_mends import runs_of, unwrapped_clock
-from rig.run_folder.recording.recording import MIN_ROWS, Columns, Recording, assembled
+from rig.run_folder.recording.log_lines import is_date, is_number, shown
+from rig.run_folder.recording.log_mends import in_order, runs_of, unwrapped_clock
+from rig.run_folder.recording.recording import MIN_ROWS, Columns, Recording, assembled, require_rising
 from rig.run_folder.recording.sample_columns import COLUMNS
 
 REQUIRED: Final = ("t_s", "u_V", "y_rad")
@@ -66,20 +68,25 @@ def read_csv(path: Path, *, own: bool = False, known: Recording | None = None) -
 
 
 def read_csv_runs(path: Path) -> list[Recording]:
-    """Read a CSV file as ``read_csv`` does; where its time begins again, another run begins. Raises RecordingError."""
+    """Read a CSV file as ``read_csv`` does; where its time begins again, another run begins.
+
+    The drive stays where it is missing, and positions may be rarer than drives. Raises RecordingError.
+    """
     columns, row_numbers, notes, header = _parsed(path, False, None)
     columns["t_s"] = unwrapped_clock(columns["t_s"], columns["y_rad"], 1.0, notes)
     runs = runs_of(columns["t_s"])
-    return [
-        assembled(
-            path if len(runs) == 1 else path.with_name(f"{path.name} (run {number} of {len(runs)})"),
-            {name: values[run] for name, values in columns.items()},
-            row_numbers[run],
-            header,
-            notes if number == 1 else (),
-        )
-        for number, run in enumerate(runs, 1)
-    ]
+    recordings = []
+    for number, run in enumerate(runs, 1):
+        source = path if len(runs) == 1 else path.with_name(f"{path.name} (run {number} of {len(runs)})")
+        heard = notes if number == 1 else []
+        own, lines = in_order({name: values[run] for name, values in columns.items()}, list(row_numbers[run]), heard)
+        require_rising(source, own["t_s"], lines)
+        seen = np.flatnonzero(np.isfinite(own["y_rad"]))
+        steps = None if seen.size == len(lines) else (own["t_s"], own["u_V"])
+        if steps is not None:
+            own, lines = {name: values[seen] for name, values in own.items()}, [lines[k] for k in seen.tolist()]
+        recordings.append(replace(assembled(source, own, lines, header, heard), drive_steps=steps))
+    return recordings
 
 
 def _parsed(
@@ -87,11 +94,11 @@ def _parsed(
 ) -> tuple[Columns, Sequence[int], list[str], tuple[str, ...]]:
     """The columns, the lines of their rows, notes and the names of all columns; as in ``read_csv``."""
     text = CsvText.of(path, own=own)
-    header_line, row_numbers = text.numbers[0], text.numbers[1:]
+    row_numbers = text.rows
     header = _parse_header(text)
     if len(row_numbers) < MIN_ROWS:
-        raise RecordingError(path, f"has {len(row_numbers)} rows", f"record at least {MIN_ROWS}", header_line)
-    text = text.with_decimal_points(row_numbers)
+        raise RecordingError(path, f"has {len(row_numbers)} rows", f"record at least {MIN_ROWS}", text.line)
+    text = text.with_decimal_points()
     _refuse_other_units(text, header)
     table = CsvTable(text, header, header, row_numbers, frozenset(REQUIRED))
     notes = list(text.notes)
@@ -103,8 +110,10 @@ def _parsed(
             name: np.concatenate([values, added[name]]) if added else values.copy()
             for name, values in read_before.items()
         }
-    else:
+    elif own:
         columns = table.columns()
+    else:
+        columns, row_numbers = table.of_log(notes)
     if own:
         columns = _while_time_rises(columns, row_numbers, notes)
         row_numbers = row_numbers[: len(columns["t_s"])]
@@ -113,8 +122,8 @@ def _parsed(
 
 def _parse_header(text: CsvText) -> tuple[str, ...]:
     """The names of the columns. Raises RecordingError."""
-    path, line_number = text.path, text.numbers[0]
-    names = tuple(text.fields(line_number))
+    path, line_number = text.path, text.line
+    names = tuple(text.header)
     missing = [name for name in REQUIRED if name not in names]
     if missing and (is_number(names[0]) or (is_date(names[0]) and all(map(is_number, names[1:])))):
         timed = "--time ms" if is_number(names[0]) else "--period 10ms"
@@ -137,29 +146,28 @@ def _lacking(text: CsvText, names: Sequence[str], missing: Sequence[str]) -> Rec
     there = ", ".join(shown(name) for name in names[:20])
     own = {name: quantity for quantity, name in OWN_NAMES.items()}
     guesses = {name: guess for name in missing if (guess := _did_you_mean(name, own[name], names))}
-    cause, line_number = f"has no column {', '.join(missing)}; there are: {there}", text.numbers[0]
+    cause, line_number = f"has no column {', '.join(missing)}; there are: {there}", text.line
     currents = [name for name, unit in _with_units(names, text.units) if says_current(name, unit)]
     if "u_V" in missing and "u_V" not in guesses and currents:
         return RecordingError(text.path, f"column {shown(currents[0])}: {CURRENT_CAUSE}", CURRENT_CURE, line_number)
-    first_row = text.fields(text.numbers[1]) if len(text.numbers) > 1 else []
+    first_row = text.fields(text.rows[0]) if text.rows else []
     dates = "t_s" in guesses and any(map(is_date, first_row[names.index(guesses["t_s"]) :][:1]))
     options = {name: _option(own[name], guess, names, text.units) for name, guess in guesses.items()}
     if "y_rad" in missing and "y_rad" not in guesses:
         speed = next((name for name in names if sounds_like(name, "velocity")), None)
         options |= {} if speed is None else {"y_rad": _option("velocity", speed, names, text.units)}
-    hints = [f"{shown(guess)} for {name}" for name, guess in guesses.items() if not (dates and name == "t_s")]
+    if dates:  # a date is read as seconds
+        options["t_s"] = f"--time {quote(guesses['t_s'] + ':s')}"
+    hints = [f"{shown(guess)} for {name}" for name, guess in guesses.items()]
     cure = f"did you mean {', '.join(hints)}? Rename and use s, V, rad" if hints else "name them t_s, u_V, y_rad"
-    if "t_s" in missing and (dates or "t_s" not in guesses):
-        without = f"column {shown(guesses['t_s'])} holds dates" if dates else "no column is called like a time"
-        rest = {name: option for name, option in options.items() if name != "t_s"}
-        if len(missing) > 1 and not rest:
-            rest = {"": "--drive pwm --position counts"}
-        words = f"type {' '.join(['--period 10ms', *rest.values()])}, with your own time from row to row: {without}"
-        cure = f"{words}; or log the time"
-        options = rest
+    if "t_s" in missing and "t_s" not in guesses:
+        if len(missing) > 1 and not options:
+            options = {"": "--drive pwm --position counts"}
+        words = f"type {' '.join(['--period 10ms', *options.values()])}, with your own time from row to row"
+        cure = f"{words}: no column is called like a time; or log the time"
     else:
         cure += f"; or {_OR_SAY} {' '.join(options.values()) or '--time ms --drive pwm --position counts'}"
-    unsaid = [own[name] for name in options if name in own and options[name].endswith(("UNIT", "UNIT'"))]
+    unsaid = [option.split()[0].strip("-") for option in options.values() if option.endswith(("UNIT", "UNIT'"))]
     if unsaid:
         cure += f", with the column's own unit for UNIT: of {', of '.join(map(_units_of, unsaid))}"
     typed = [option.rpartition(" ")[2].strip("'").rpartition(":")[2] for option in options.values()]
@@ -178,14 +186,12 @@ def _refuse_other_units(text: CsvText, header: Sequence[str]) -> None:
     """Refuse a row of units that denies the unit in a column's name."""
     for name, unit in zip(header, text.units, strict=False):
         if name == "u_V" and says_current(name, unit):
-            raise RecordingError(
-                text.path, f"column u_V is in {unit}: {CURRENT_CAUSE}", CURRENT_CURE, text.numbers[0] + 1
-            )
+            raise RecordingError(text.path, f"column u_V is in {unit}: {CURRENT_CAUSE}", CURRENT_CURE, text.line + 1)
         quantity = next((key for key, own in OWN_NAMES.items() if own == name), "")
         if name in REQUIRED and unit in UNITS[quantity] and not name.endswith(f"_{unit}"):
             cause = f"column {name} is in {shown(unit)}, by the row of units"
             cure = f"if it is, type --{quantity} {name}:{unit}; else correct the row of units"
-            raise RecordingError(text.path, cause, cure, text.numbers[0] + 1)
+            raise RecordingError(text.path, cause, cure, text.line + 1)
 
 
 def _did_you_mean(name: str, quantity: str, there: Sequence[str]) -> str | None:
@@ -197,12 +203,13 @@ def _did_you_mean(name: str, quantity: str, there: Sequence[str]) -> str | None:
         if other in unclaimed:
             return unclaimed[other]
     of_name = [other for other in unclaimed.values() if sounds_like(other, quantity)]
-    of_unit = [other for other in unclaimed.values() if units_said(other, quantity)]
+    rivals = [q for q in USUAL_NAMES if q != quantity]
+    free = [other for other in unclaimed.values() if not any(sounds_like(other, q) for q in rivals)]
+    of_unit = [other for other in free if units_said(other, quantity)]
     for found in (of_name, of_unit):
         if len(found) == 1:
             return found[0]
-    others = [key for key in unclaimed if not any(sounds_like(key, q) for q in USUAL_NAMES if q != quantity)]
-    close = difflib.get_close_matches(name.lower(), [other[:100] for other in others], n=1, cutoff=0.5)
+    close = difflib.get_close_matches(name.lower(), [other[:100].lower() for other in free], n=1, cutoff=0.5)
     return unclaimed.get(close[0]) if close else None
 
 

@@ -18,27 +18,34 @@ import numpy as np
 
 from rig.core.signals import plain
 from rig.run_folder.recording.errors import RecordingError
-from rig.run_folder.recording.log_format import ALL_UNITS, USUAL_NAMES, sounds_like
-from rig.run_folder.recording.recording import Column, Columns
+from rig.run_folder.recording.log_format import ALL_UNITS
+from rig.run_folder.recording.log_lines import (
+    BLANKS,
+    COMMENTS,
+    DELIMITERS,
+    is_date,
+    is_number,
+    is_stamp,
+    seconds_of,
+    shown,
+    split,
+    table_in,
+)
+from rig.run_folder.recording.recording import MIN_ROWS, Column, Columns
 from rig.run_folder.recording.sample_columns import COLUMNS, KINDS
 from rig.run_folder.recording.text_file import lines_of, whole_content, without_torn_line
 
 MAX_STAGE_LENGTH: Final = 64
 _MAX_INTEGER: Final = 2.0**53  # a float cannot hold every integer beyond
 _ROWS_AT_ONCE: Final = 4096
-_COMMENTS: Final = "#%"
-_NO_UNIT: Final = {"", "-", "1"}
-_DELIMITERS: Final = (",", ";", "\t", "|")
-_DATE: Final = re.compile(r"\d{4}-\d\d?-\d\d?|\d\d?\.\d\d?\.\d{4}|\d\d?:\d\d")  # the begin of a date or a time of day
 _WITH_UNIT: Final = re.compile(r"([+-]?[0-9.]+(e[+-]?[0-9]+)?)\s*([^\W\d_]+|%|°)", re.IGNORECASE)
 _FEWEST_COLUMNS: Final = 3
-_BLANKS: Final = " "  # the delimiter if none of those is in the first line; any number of blanks
+_FEW: Final = 0.01  # share of rows that may lack a number, and are left out
+_EVENTS: Final = 0.5  # share of rows without a drive, from which on it was written where it changed
 # First bytes of files that people often give in place of a CSV file: what the file is, and how to get a CSV file.
 _NO_CSV: Final = {
     b"\x1f\x8b": ("is compressed (gzip)", "unpack it first: gunzip"),
     b"PK\x03\x04": ("is an Excel workbook or a zip file", "export the sheet as CSV in UTF-8, or unpack it"),
-    b"\xff\xfe": ("is UTF-16 text", "iconv -f UTF-16 -t UTF-8 {path} > plain.csv"),
-    b"\xfe\xff": ("is UTF-16 text", "iconv -f UTF-16 -t UTF-8 {path} > plain.csv"),
     b"PAR1": (
         "is parquet, as LeRobot's data sets are",
         'pip install pandas pyarrow, and python -c "import sys, pandas as p; t = p.read_parquet(sys.argv[1]); '
@@ -52,104 +59,66 @@ _NO_CSV: Final = {
 
 @dataclass(frozen=True)
 class CsvText:
-    """The lines of a CSV file that are neither empty nor comments.
+    """The table in a CSV file as text.
 
-    lines    all lines of the file
-    numbers  numbers of the lines that count, from 1; at least one
-    notes    what the reader put up with, as sentences
-    units    of the columns, from a row of units below the names, without brackets; empty: there is none
+    lines      all lines of the file
+    delimiter  what separates the columns
+    names      of the columns; empty: there are none
+    line       number of the line of names, else of the first row, from 1
+    rows       numbers of the lines of the rows
+    torn       numbers of lines that were rows, and are left out
+    notes      what the reader put up with, as sentences
+    units      of the columns, from a row of units below the names, without brackets; empty: there is none
     """
 
     path: Path
     lines: Sequence[str]
-    numbers: Sequence[int]
+    delimiter: str
+    names: tuple[str, ...]
+    line: int
+    rows: Sequence[int]
     notes: tuple[str, ...]
+    torn: Sequence[int] = ()
     units: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, path: Path, *, own: bool = False) -> CsvText:
         """The text of a file. A last line without a line end is torn: it is left out and noted.
 
-        own  whether the file is of a run folder
+        own  whether the file is of a run folder: then its first line has the names, and all others are rows
         Raises RecordingError.
         """
-        content, moved = whole_content(path, own=own)
+        content, notes = whole_content(path, own=own)
         _check_magic(path, content)
+        content, encoded = (content, []) if own else _in_utf8(content)
         whole, torn = without_torn_line(path, _with_line_feeds(content))
+        notes = [*notes, *encoded, *torn]
         lines = lines_of(path, whole)
-        numbers = [k for k, line in enumerate(lines, 1) if line.strip() and not line.startswith((*_COMMENTS, "sep="))]
+        found = None if own else table_in(lines)
+        if found is not None:
+            return cls(path, found.lines, found.delimiter, found.names, found.line, found.rows,
+                       (*notes, *found.notes), found.torn, found.units)  # fmt: skip
+        numbers = [k for k, line in enumerate(lines, 1) if line.strip() and not line.startswith((*COMMENTS, "sep="))]
         if not numbers:
             raise RecordingError(path, "holds no rows", "give a CSV file with a line of column names and rows below it")
-        text = cls(path, lines, numbers, (*moved, *torn))
-        return text if own else text._with_names()._with_units()._without_last_delimiter()
-
-    def _with_names(self) -> CsvText:
-        """With the names of the columns, if these stand behind a # or % above rows of numbers or of units.
-
-        numpy writes them so. Of several such lines the last one with names counts.
-        """
-        first = self.numbers[0]
-        rows = self.fields(first)
-        if not all(is_number(field) for field in rows if field) and _units_of(rows) is None:
-            return self
-        found: dict[int, list[str]] = {}
-        for above in range(first - 1, 0, -1):
-            words = self.lines[above - 1].lstrip(_COMMENTS).strip()
-            most = max(_DELIMITERS, key=words.count)
-            names = [name.strip() for name in words.split(most)] if most in words else words.split()
-            known = [name for name in names if name in COLUMNS or any(sounds_like(name, q) for q in USUAL_NAMES)]
-            if (
-                self.lines[above - 1].startswith(tuple(_COMMENTS)) and len(names) == len(rows) and len(known) > 1
-            ):  # no remark
-                found[above] = names
-        if not found:
-            return self
-        place = next((k for k, names in found.items() if _units_of(names) is None), max(found))
-        lines = list(self.lines)
-        lines[place - 1] = self.delimiter.join(found[place])
-        return replace(self, lines=lines, numbers=[place, *self.numbers])
-
-    def _with_units(self) -> CsvText:
-        """Without a row of units below the names, which becomes ``units``, with a note."""
-        if len(self.numbers) < 2:
-            return self
-        names, units = self.fields(self.numbers[0]), _units_of(self.fields(self.numbers[1]))
-        if units is None or len(units) != len(names) or any(is_number(field) for field in names):
-            return self
-        words = f"line {self.numbers[1]} was read as the units: {', '.join(map(shown, units[:20]))}"
-        return replace(self, numbers=[self.numbers[0], *self.numbers[2:]], notes=(*self.notes, words), units=units)
-
-    def _without_last_delimiter(self) -> CsvText:
-        """Without the delimiter behind the last column, if all rows have it and the names have not; with a note."""
-        rows = self.numbers[1:]
-        mark = self.delimiter
-        if not rows or mark == _BLANKS or any(not self.lines[row - 1].rstrip().endswith(mark) for row in rows):
-            return self
-        if len(self.fields(rows[0])) != len(self.fields(self.numbers[0])) + 1:
-            return self
-        lines = list(self.lines)
-        for row in rows:
-            lines[row - 1] = lines[row - 1].rstrip()[:-1]
-        words = f"{shown(mark)} behind the last column of each row was left out"
-        return replace(self, lines=lines, notes=(*self.notes, words))
+        delimiter = _delimiter(lines[numbers[0] - 1])
+        first = _split(path, numbers[0], lines[numbers[0] - 1], delimiter)
+        has_names = not all(is_number(field) or is_date(field) for field in first if field)
+        names, rows = (tuple(first), numbers[1:]) if has_names else ((), numbers)
+        return cls(path, lines, delimiter, names, numbers[0], rows, tuple(notes))
 
     @property
-    def delimiter(self) -> str:
-        """What separates the columns, by the first line."""
-        first = self.lines[self.numbers[0] - 1]
-        most = max(_DELIMITERS, key=first.count)
-        if most in first:
-            return most
-        fields = first.split()
-        return _BLANKS if len(fields) >= _FEWEST_COLUMNS or all(map(is_number, fields)) else most
+    def header(self) -> Sequence[str]:
+        """The names of the columns, else the fields of the first row. Raises RecordingError."""
+        return self.names or self.fields(self.rows[0])
 
     def fields(self, number: int) -> list[str]:
         """The fields of the line of this number. Raises RecordingError."""
         return _split(self.path, number, self.lines[number - 1], self.delimiter)
 
-    def with_decimal_points(self, rows: Sequence[int]) -> CsvText:
+    def with_decimal_points(self) -> CsvText:
         """With decimal commas as decimal points, and a note, if no comma separates columns and no row has a point."""
-        if self.delimiter == "," or not _has_decimal_commas(self.lines, rows):
+        if self.delimiter == "," or not _has_decimal_commas(self.lines, self.rows):
             return self
         lines = [line.replace(",", ".") for line in self.lines]
         return replace(self, lines=lines, notes=(*self.notes, "decimal commas were read as decimal points"))
@@ -179,33 +148,32 @@ class CsvTable:
         ]
         return {name: np.concatenate([chunk[name] for chunk in chunks]) for name in names} if chunks else {}
 
+    def of_log(self, notes: list[str]) -> tuple[Columns, Sequence[int]]:
+        """The columns of a log, and the lines of its rows, without the few rows that lack a number; with notes.
 
-def _units_of(fields: Sequence[str]) -> tuple[str, ...] | None:
-    """A row of units without its brackets; None if it is no such row. What stands in brackets may be anything."""
-    units = tuple(field.strip("()[]") for field in fields)
-    said = [unit for field, unit in zip(fields, units, strict=True) if field == unit and unit not in _NO_UNIT]
-    if any(is_number(field) and field not in _NO_UNIT for field in fields) or set(units) <= _NO_UNIT:
-        return None
-    return units if all(unit.lower() in ALL_UNITS for unit in said) else None
-
-
-def is_number(text: str) -> bool:
-    """Whether a field is a number."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return "_" not in text
-
-
-def is_date(text: str) -> bool:
-    """Whether a field is a date or a time of day."""
-    return _DATE.match(text) is not None
-
-
-def shown(text: str) -> str:
-    """A text of the file, quoted, for a message."""
-    return repr(text if len(text) <= 40 else text[:40] + "...")
+        A drive that most rows lack was written where it changed: it stays as it was in between. Positions of a slower
+        clock stay NaN in the rows between. Raises RecordingError.
+        """
+        columns = replace(self, required=frozenset()).columns()
+        missing = {name: np.isnan(columns[name]) for name in self.names if name in self.required}
+        share = {name: float(np.mean(lacks)) for name, lacks in missing.items()}
+        if share.get("u_V", 0.0) > _EVENTS:
+            given = np.maximum.accumulate(np.where(missing["u_V"], 0, np.arange(len(self.rows))))
+            columns["u_V"], share["u_V"] = columns["u_V"][given], 0.0
+            missing["u_V"] = np.isnan(columns["u_V"])
+            notes.append(f"the drive is given in {np.unique(given).size} rows: in between it is as it was")
+        if share.get("y_rad", 0.0) > _FEW:
+            seen = np.count_nonzero(~missing["y_rad"])
+            missing["y_rad"] &= seen < MIN_ROWS
+            notes.append(f"the position is given in {seen} rows of {len(self.rows)}: the others tell the drive")
+            share["y_rad"] = float(np.mean(missing["y_rad"]))
+        lacks = np.any(list(missing.values()), axis=0)
+        if max(share.values()) > _FEW or not lacks.any():
+            return (self.columns() if max(share.values()) > _FEW else columns), self.rows
+        kept = np.flatnonzero(~lacks)
+        if kept.size < len(self.rows):
+            notes.append(f"{len(self.rows) - kept.size} rows lack a number, and were left out")
+        return {name: values[kept] for name, values in columns.items()}, [self.rows[k] for k in kept.tolist()]
 
 
 def _fields(count: int) -> str:
@@ -234,26 +202,40 @@ def _has_decimal_commas(lines: Sequence[str], numbers: Sequence[int]) -> bool:
     return commas
 
 
+def _in_utf8(content: bytes) -> tuple[bytes, list[str]]:
+    """The content of a log in UTF-8, and a note where it was not. Only its names can have other letters."""
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return content.decode("utf-16", "replace").encode(), ["it was read as UTF-16"]
+    try:
+        content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("latin-1").encode(), ["it is not UTF-8: its names were read as Latin-1"]
+    return content, []
+
+
+def _delimiter(first: str) -> str:
+    """What separates the columns, by the first line."""
+    most = max(DELIMITERS, key=first.count)
+    fields = first.split()
+    blanks = most not in first and (len(fields) >= _FEWEST_COLUMNS or all(map(is_number, fields)))
+    return BLANKS if blanks else most
+
+
 def _split(path: Path, line_number: int, line: str, delimiter: str) -> list[str]:
     """The fields of one line, without quotes and outer blanks."""
-    if delimiter == _BLANKS:
-        line = " ".join(line.split())
-    if '"' not in line:
-        return [field.strip() for field in line.split(delimiter)]
     try:
-        fields = next(csv.reader([line.strip()], delimiter=delimiter, strict=True))
+        return split(line, delimiter)
     except csv.Error as error:
         raise RecordingError(
             path, f"has broken quotes ({error})", "correct or delete this line", line_number
         ) from error
-    return [field.strip() for field in fields]
 
 
 def _parse_rows(table: CsvTable, numbers: Sequence[int]) -> Columns:
     """Arrays of the known columns, from the lines with these numbers: by columns, and on any error line by line."""
     path, lines, delimiter = table.text.path, table.text.lines, table.text.delimiter
     rows = [lines[number - 1] for number in numbers]
-    unquoted = delimiter != _BLANKS and not any('"' in row for row in rows)
+    unquoted = delimiter != BLANKS and not any('"' in row for row in rows)
     fields = [
         row.split(delimiter) if unquoted else _split(path, number, row, delimiter)
         for number, row in zip(numbers, rows, strict=True)
@@ -280,7 +262,8 @@ def _parse_column(name: str, texts: Sequence[str], required: bool) -> Column:
         texts = [text if text and not text.isspace() else "nan" for text in texts]
     if "_" in "".join(texts):  # Python would read 1_0 as 10
         raise ValueError(name)
-    values = np.array(list(map(float, texts)))
+    dated = name == "t_s" and is_date(texts[0].strip())
+    values = np.array(list(map(seconds_of if dated else float, texts)))
     usable = ~np.isinf(values) if may_be_empty else np.isfinite(values)
     if KINDS[name] == "integer":
         usable &= (np.abs(values) < _MAX_INTEGER) & (np.trunc(values) == values)
@@ -294,7 +277,7 @@ def _broken_row(table: CsvTable, fields: Sequence[Sequence[str]], numbers: Seque
     path, header = table.text.path, table.names
     for row, number in zip(fields, numbers, strict=True):
         if len(row) != len(header):
-            first = "header" if table.text.numbers[0] not in table.rows else "first line"
+            first = "header" if table.text.names else "first line"
             return RecordingError(
                 path,
                 f"the line has {_fields(len(row))}, and the {first} {len(header)}",
@@ -315,6 +298,8 @@ def _complaint(name: str, text: str, required: bool) -> str:
         return f"a name of {len(text)} characters" if len(text) > MAX_STAGE_LENGTH else ""
     if not text:
         return "is empty" if required or KINDS[name] == "integer" else ""
+    if name == "t_s" and is_date(text):
+        return "" if is_stamp(text) else f"{shown(text)} is no date with a time of day"
     if not is_number(text):
         return f"{shown(text)} is not a number"
     value = float(text)
@@ -328,7 +313,7 @@ def _complaint(name: str, text: str, required: bool) -> str:
 def _cure_of_count(text: CsvText, number: int, there: int, wanted: int) -> str:
     """What to do about a line with another number of fields than the names have."""
     line, mark = text.lines[number - 1], text.delimiter
-    others = [other for other in _DELIMITERS if other != mark and line.count(other) == wanted - 1]
+    others = [other for other in DELIMITERS if other != mark and line.count(other) == wanted - 1]
     if there == 1 and others:
         return f"the names stand between {shown(mark)}, and the rows between {shown(others[0])}: make them alike"
     if mark != "," or there <= wanted or "." in line or not all(map(is_number, line.split(","))):
@@ -336,7 +321,7 @@ def _cure_of_count(text: CsvText, number: int, there: int, wanted: int) -> str:
     cure = "if decimal commas stand between commas, save it with semicolons between the columns"
     if there != 2 * wanted:
         return cure
-    command = f"sed -E '{text.numbers[0] + 1},$ s/([0-9]+),([0-9]+)/\\1.\\2/g' {quote(str(text.path))} > plain.csv"
+    command = f"sed -E '{text.line + 1},$ s/([0-9]+),([0-9]+)/\\1.\\2/g' {quote(str(text.path))} > plain.csv"
     return f"{cure}; or, if each number has one: {command}"
 
 
@@ -344,7 +329,7 @@ def _cure(path: Path, name: str, text: str) -> str:
     if not text:
         return "fill it in or delete this line"
     if name == "t_s" and is_date(text):
-        return "it is a date: write seconds; or, if the rows came evenly, --period 10ms in place of --time"
+        return "write seconds; or, if the rows came evenly, --period 10ms in place of --time"
     if text.endswith("%") and is_number(text[:-1].strip()):
         return f"take the % out: sed 's/%//g' {quote(str(path))} > plain.csv; then --drive percent"
     if (found := _WITH_UNIT.fullmatch(text)) and is_number(found[1]) and found[3].lower() in ALL_UNITS:

@@ -13,9 +13,10 @@ from shlex import quote
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.run_folder.recording import log_mends
-from rig.run_folder.recording.csv_table import CsvTable, CsvText, is_date, is_number, shown
+from rig.run_folder.recording.csv_table import CsvTable, CsvText
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.log_format import (
     CURRENT_CAUSE,
@@ -33,6 +34,7 @@ from rig.run_folder.recording.log_format import (
     usual_places,
     words_of,
 )
+from rig.run_folder.recording.log_lines import is_number, shown
 from rig.run_folder.recording.recording import MIN_ROWS, Columns, Floats, Integers, Recording, assembled, require_rising
 from rig.run_folder.recording.servo_law import OwnLoop, ServoLaw
 
@@ -47,24 +49,18 @@ def read_log(path: Path, log: LogFormat) -> list[Recording]:
 
     Separators, comments and decimal commas are as for ``read_csv``. Without a line of names the columns are numbered
     from 1; if there are no others than those of ``log``, they are time, drive, and position or velocity, in this order.
-    A first line with fewer fields than the second is torn, and is left out. What wraps or lost its sign is put right
+    What is no row is left out (``log_lines``). What wraps or lost its sign is put right
     (``log_mends``). A velocity is summed up to a position.
 
     The notes say which column was taken for what, and what was put right. Raises RecordingError.
     """
     text = CsvText.of(path)
-    numbers, notes = text.numbers, list[str]()
-    if len(numbers) > 1 and len(text.fields(numbers[0])) < len(text.fields(numbers[1])):
-        notes.append(f"line {numbers[0]}, the first, is torn and was left out")
-        numbers = numbers[1:]
-    first = text.fields(numbers[0])
-    has_names = not all(is_number(field) or is_date(field) for field in first if field)
-    rows = numbers[1:] if has_names else numbers
-    if len(rows) < MIN_ROWS:
-        raise RecordingError(path, f"has {len(rows)} rows", f"record at least {MIN_ROWS}", numbers[0])
-    text = text.with_decimal_points(rows)
+    if len(text.rows) < MIN_ROWS:
+        raise RecordingError(path, f"has {len(text.rows)} rows", f"record at least {MIN_ROWS}", text.line)
+    text = text.with_decimal_points()
+    first, rows, has_names = text.header, text.rows, bool(text.names)
     choices = log.columns()
-    places = _places(path, numbers[0], first, has_names, choices)
+    places = _places(path, text.line, first, has_names, choices)
     called = {place: first[place] if has_names else str(place + 1) for place in places.values()}
     quantity_at = {place: quantity for quantity, place in places.items()}
     table = CsvTable(
@@ -78,23 +74,26 @@ def read_log(path: Path, log: LogFormat) -> list[Recording]:
         said = {q: (first[place], text.units[place] if text.units else "") for q, place in places.items()}
         if "drive" in said and says_current(*said["drive"]):
             cure = f"{CURRENT_CURE}; if this column holds that, rename it"
-            raise RecordingError(path, f"column {shown(said['drive'][0])}: {CURRENT_CAUSE}", cure, numbers[0])
-        _refuse_other_units(path, numbers[0], choices, said)
-    raw = table.columns()
+            raise RecordingError(path, f"column {shown(said['drive'][0])}: {CURRENT_CAUSE}", cure, text.line)
+        _refuse_other_units(path, text.line, choices, said)
+    raw, rows = table.of_log(text_notes := list(text.notes))
     for name, values in raw.items():
-        if float(np.abs(values).max()) > LARGEST:
-            row = int(np.argmax(np.abs(values)))
+        if float(np.nanmax(np.abs(values))) > LARGEST:
+            row = int(np.nanargmax(np.abs(values)))
             column = table.called[table.names.index(name)]
             raise RecordingError(path, f"column {column}: {values[row]:g} is too large", "correct this line", rows[row])
-    notes = [*text.notes, *notes, _taken({q: called[place] for q, place in places.items()}, log)]
+    notes = [*text_notes, _taken({q: called[place] for q, place in places.items()}, log)]
     if log.period_s is not None:
-        raw["t_s"] = np.arange(len(rows), dtype=np.float64)
+        raw["t_s"] = np.searchsorted(sorted([*text.rows, *text.torn]), rows).astype(np.float64)
     supply_V = log.supply_V
     if log.servo is None:
         raw["u_V"] = _drive_V(path, raw["u_V"], choices["drive"], log, rows, notes)
+        if log.direction is not None:
+            words = _words(path, text, text.line if has_names else None, rows, "direction", log.direction)
+            raw["u_V"] = _ways(path, words, log.direction, notes) * np.abs(raw["u_V"])
     else:
         supply_V = _supply_V(text, rows, first if has_names else (), log, notes)
-    runs = _runs(path, text, numbers[0] if has_names else None, raw, rows, log)
+    runs = _runs(path, text, text.line if has_names else None, raw, rows, log)
     recordings = []
     for number, run in enumerate(runs, 1):
         source = path if len(runs) == 1 else path.with_name(f"{path.name} (run {number} of {len(runs)})")
@@ -119,7 +118,8 @@ def _recording(source: Path, raw: Columns, rows: Sequence[int], log: LogFormat, 
     notes, choices = list(notes), log.columns()
     raw = _in_place(_once(raw | {"line": np.array(rows)}, notes), log)
     rows = raw.pop("line").tolist()
-    t_s, u_V = _times_s(raw, log, notes), raw["u_V"]
+    raw, rows = log_mends.in_order(raw | {"t_s": _times_s(raw, log, notes)}, rows, notes)
+    t_s, u_V = raw["t_s"], raw["u_V"]
     require_rising(source, t_s, rows)
     steps = None
     if "velocity" in choices:
@@ -129,6 +129,10 @@ def _recording(source: Path, raw: Columns, rows: Sequence[int], log: LogFormat, 
             steps = (t_s, u_V)
             rows, t_s, u_V = [rows[k] for k in summed.rows], t_s[summed.rows], u_V[summed.rows]
     else:
+        seen = np.flatnonzero(np.isfinite(raw["y_rad"]))
+        if seen.size < t_s.size:
+            steps = (t_s, u_V)
+            rows, t_s, u_V, raw["y_rad"] = [rows[k] for k in seen.tolist()], t_s[seen], u_V[seen], raw["y_rad"][seen]
         unit = choices["position"].unit
         scale = log.scale("position", unit)
         y_rad = scale * log_mends.unwrapped_position(raw["y_rad"], unit == "counts", 2.0 * np.pi / abs(scale), notes)
@@ -298,12 +302,35 @@ def _runs(
         second = 1.0 if log.time is None else 1.0 / log.scale("time", log.time.unit)
         times = log_mends.unwrapped_clock(raw["t_s"], motion, second, [])
         return [np.arange(run.start, run.stop) for run in log_mends.runs_of(times)]
-    first = text.fields(rows[0] if header is None else header)
-    place = _named_place(path, rows[0] if header is None else header, first, header is not None, "run", log.run)
-    of_row = [text.fields(row) for row in rows]
-    names = np.array([fields[place] if place < len(fields) else "" for fields in of_row])
+    names = _words(path, text, header, rows, "run", log.run)
     found, begins = np.unique(names, return_index=True)
     return [np.flatnonzero(names == found[k]) for k in np.argsort(begins)]
+
+
+def _words(
+    path: Path, text: CsvText, header: int | None, rows: Sequence[int], option: str, column: str
+) -> NDArray[np.str_]:
+    """What a column that somebody named or numbered says in each of these lines. Raises RecordingError."""
+    line = rows[0] if header is None else header
+    place = _named_place(path, line, text.header, header is not None, option, column)
+    return np.array([fields[place] if place < len(fields) else "" for fields in map(text.fields, rows)])
+
+
+def _ways(path: Path, words: NDArray[np.str_], column: str, notes: list[str]) -> Floats:
+    """1 or -1 for each row: which way its drive acts, by a column of two words; 0 stands between -1 and 1.
+
+    The larger number is the positive way, or the word that is not reverse, backward or ccw. Raises RecordingError.
+    """
+    back = ("R", "B")  # reverse, backward
+    there = sorted(
+        set(words.tolist()),
+        key=lambda word: (float(word) if is_number(word) else 0.0, word[:1].upper() not in back, word),
+    )
+    if len(there) != 2 and not (len(there) == 3 and is_number(there[1]) and float(there[1]) == 0.0):
+        cause = f"column {shown(column)} says {len(there)} things, such as {', '.join(map(shown, there[:3]))}"
+        raise RecordingError(path, cause, "give the column that says one of two directions: --direction COLUMN")
+    notes.append(f"the drive is positive where column {column} says {there[-1]}, and negative where {there[0]}")
+    return np.where(words == there[-1], 1.0, np.where(words == there[0], -1.0, 0.0))
 
 
 def _refuse_other_units(

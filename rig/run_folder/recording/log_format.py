@@ -13,7 +13,7 @@ from rig.run_folder.recording.servo_law import ServoLaw
 
 # For each quantity its units: what one of them is in s, V, rad and rad/s. None: it takes a further number of the log.
 UNITS: Final[dict[str, dict[str, float | None]]] = {
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "drive": {"V": 1.0, "mV": 1e-3, "pwm": None, "duty": None, "percent": None},
     "position": {"rad": 1.0, "deg": math.pi / 180.0, "turns": 2.0 * math.pi, "counts": None},
     "velocity": {
@@ -30,19 +30,19 @@ UNITS["goal"] = UNITS["position"]
 USUAL_NAMES: Final = {
     "time": {
         "t", "time", "times", "timestamp", "millis", "micros", "ms", "us", "sec", "seconds", "zeit", "temps",
-        "tiempo", "tempo",
+        "tiempo", "tempo", "stamp", "datetime", "elapsed", "时间", "時間",
     },
     "drive": {
         "u", "drive", "pwm", "duty", "volt", "volts", "voltage", "input", "command", "control", "motor", "spannung",
-        "stellgröße", "tension", "tensión", "voltaje", "tensione",
+        "stellgröße", "tension", "tensión", "voltaje", "tensione", "commande", "电压", "電圧",
     },
     "position": {
         "y", "pos", "position", "angle", "theta", "phi", "count", "counts", "ticks", "enc", "encoder", "deg",
-        "winkel", "lage", "posición", "posicion", "ángulo", "angulo", "posizione", "angolo",
+        "winkel", "lage", "posición", "posicion", "ángulo", "angulo", "posizione", "angolo", "角度", "位置",
     },
     "velocity": {
         "v", "vel", "velocity", "speed", "omega", "rpm", "w", "drehzahl", "geschwindigkeit", "vitesse", "velocidad",
-        "velocità",
+        "velocità", "转速", "速度",
     },
     "goal": {"goal", "target", "setpoint", "reference", "ref", "action", "ziel", "sollwert", "consigne"},
 }
@@ -50,7 +50,12 @@ USUAL_SUPPLY: Final = {"voltage", "volts", "volt", "vin", "supply", "input", "ba
 # fmt: on
 # Words of a column's name, or of a row of units, that say its unit, in small letters.
 _WORDS: Final[dict[str, dict[str, str]]] = {
-    "time": {"ms": "ms millis milliseconds", "us": "us micros microseconds", "s": "s sec seconds sekunden secondes"},
+    "time": {
+        "ms": "ms msec millis milliseconds",
+        "us": "us usec micros microseconds",
+        "ns": "ns nsec nsecs nanoseconds",
+        "s": "s sec secs second seconds sekunden secondes",
+    },
     "drive": {"pwm": "pwm", "duty": "duty", "V": "volt volts", "mV": "mv", "percent": "percent prozent"},
     "position": {
         "rad": "rad radians",
@@ -75,13 +80,13 @@ ALL_UNITS: Final = {
 """What a field of a row of units may say, in small letters."""
 _WORD: Final = re.compile(r"[^\W\d_]+")
 _RATE: Final = re.compile(r"/\s*(s|sec|min)\b|(?<![^\W_])per(?![^\W_])", re.IGNORECASE)  # in a velocity's name
-_PERIOD: Final = re.compile(r"\s*([0-9.eE+-]+)\s*(s|ms|us)\s*")
+_PERIOD: Final = re.compile(r"\s*([0-9.eE+-]+)\s*(s|ms|us|ns)\s*")
 _CURRENTS: Final = ("A", "mA")
 CURRENT_CAUSE: Final = "a current is a torque: under it a motor has no K, and no tau of its own"
 CURRENT_CURE: Final = "log the voltage at the motor, or the bridge's duty"
 _CURRENT_WORDS: Final = {"amps", "ampere", "amperes", "strom", "motorstrom", "courant", "corriente", "corrente"}
 MOST_ROWS_OFF: Final = 5
-LARGEST: Final = 1e18  # number in a log, above microseconds since 1970
+LARGEST: Final = 1e19  # number in a log, above nanoseconds since 1970
 OWN_NAMES: Final = {"time": "t_s", "drive": "u_V", "position": "y_rad", "velocity": "v_rad_per_s", "goal": "yd_rad"}
 """The column of samples.csv that each quantity becomes; a log may have it under this name."""
 
@@ -197,6 +202,7 @@ class LogFormat:
     run              name or number of the column that says which run a row is of; None: a time that begins again does
     drive_row        rows by which the drive stands too late, negative: too early; at most 5. -1: each row has the drive
                      that was set before its position was read, so all drives move up by a row
+    direction        name or number of the column that says which way the drive acts, where the drive has no sign
     time_row         the same of the time. -1: each row has the time of the row before
     goal, servo      of a log that a servo's own position loop made, in place of a drive
     Raises LogFormatError if a number is missing, useless or not positive.
@@ -212,6 +218,7 @@ class LogFormat:
     reversed: bool = False
     period_s: float | None = None
     run: str | None = None
+    direction: str | None = None
     drive_row: int = 0
     time_row: int = 0
     goal: LogColumn | None = None

@@ -6,13 +6,14 @@ Each function takes columns of numbers as they stand in the file. It adds a sent
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from rig.run_folder.recording.log_format import LARGEST
-from rig.run_folder.recording.recording import Floats, Integers
+from rig.run_folder.recording.recording import Columns, Floats, Integers
 
 _FEW_STEPS, _FEWEST_MOVES = 10.5, 10  # of a counter, between two rows, for a velocity to show them
 _OF_BITS: Final = {8: 2.0**8, 16: 2.0**16, 32: 2.0**32}  # numbers that a whole number of so many bits can be
@@ -24,6 +25,7 @@ _COVERS, _MOVES, _NEARLY, _WIDE = 0.8, 0.35, 0.99, 16
 _SHOWN_S: Final = (1.0, 10.0, 60.0, 100.0, 1000.0, 3600.0, 43200.0, 86400.0)
 _WRAP_PERIODS = 3.0  # longest step over the end of a clock
 _FEWEST_ROWS = 22  # of a run in a file of several: fewer are rows out of order
+_FAR_ROWS = 5  # that rows out of order may be from their place
 _BEGINS_PERIODS = 3.0  # from the first run's time: where another run begins
 _FEWEST_HELD, _HELD = 20, 0.97  # changes of a velocity, and the share at whole multiples of rows, for it to be held
 _ARX_ROUNDS, _SURE = 20, 0.4  # rounds of a wrapped velocity; of its range, the largest error of what is expected
@@ -57,6 +59,23 @@ def _is_sure(y: Floats, at: Integers) -> bool:
     steps = np.abs(np.diff(y))
     usual = float(np.max(np.delete(steps, at), initial=0.0))
     return y.size >= _FEWEST_ROWS and (usual == 0.0 or bool(np.all(steps[at] <= 1.5 * usual)))
+
+
+def in_order(columns: Columns, lines: Sequence[int], notes: list[str]) -> tuple[Columns, Sequence[int]]:
+    """The rows, and their lines, by their times, where neighbours changed places on the way; else as they are.
+
+    Then the motion is smoother so. Where it is not, the stamps are wrong, and not the order.
+    """
+    t, y = columns["t_s"], columns["y_rad" if "y_rad" in columns else "v_rad_per_s"]
+    order = np.argsort(t, kind="stable")
+    far = np.abs(order - np.arange(t.size))
+    if not far.any() or far.max() > _FAR_ROWS:
+        return columns, lines
+    seen = np.isfinite(y)
+    if np.sum(np.abs(np.diff(y[order][seen[order]], 2))) >= np.sum(np.abs(np.diff(y[seen], 2))):
+        return columns, lines
+    notes.append(f"{np.count_nonzero(far)} rows stood in another order than their times, and were put in order")
+    return {name: values[order] for name, values in columns.items()}, [lines[k] for k in order]
 
 
 def runs_of(t: Floats) -> list[slice]:

@@ -16,7 +16,7 @@ from rig.run_folder.recording.writer import EVENTS, SAMPLES
 CAMPAIGN_ROWS: Final = "results.csv"
 _CONFIGS: Final = (".yaml", ".yml")
 _OF_A_RUN: Final = (SAMPLES, EVENTS, META, RESULT, CURVES, CONFIG, "report.html")
-_OTHER_EXPORTS: Final = (".mat", ".npz", ".json")
+_OTHER_EXPORTS: Final = (".mat", ".npz", ".npy", ".json")
 _PRINTED: Final = "give the folder that `rig run` printed"
 _HEAD_BYTES: Final = 65536
 
@@ -85,7 +85,8 @@ def no_recording(path: Path) -> RecordingError | None:
             return RecordingError(
                 path,
                 "is neither a run folder nor a CSV file",
-                "give the run folder, or what `rig export RUN --to FILE.csv` wrote",
+                "of a run give its folder; of other numbers export time, drive and position as CSV, or type in Python: "
+                "rig.identify(t, u, y), in s, V and rad",
             )
     return None
 

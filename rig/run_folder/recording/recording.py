@@ -193,11 +193,12 @@ def require_rising(path: Path, t_s: Floats, numbers: Sequence[int]) -> None:
     goes_on = steps[steps > 0.0]
     if float(np.mean(steps == 0.0)) > STANDS and goes_on.size and not np.any(steps < 0.0):
         tick_s = float(np.median(goes_on))
-        mean_s = float(np.polynomial.Polynomial.fit(np.arange(t_s.size), t_s, 1).convert().coef[1])
+        at = np.flatnonzero(steps) + 1  # where it goes on; in between it is late
+        mean_s = float(np.polynomial.Polynomial.fit(at, t_s[at], 1).convert().coef[1]) if at.size > 1 else tick_s
         cause += f": the clock stands still, and then goes on by {1e3 * tick_s:.4g} ms: it is too coarse for these rows"
         cure = (
             f"log a finer clock, such as micros(); or, if the rows came evenly, say how far apart, instead of a time: "
-            f"--period {1e3 * mean_s:.3g}ms is their mean"
+            f"--period {1e3 * mean_s:.4g}ms is their mean"
         )
     elif steps[k - 1] < 0.0:
         cure += "; or, if this is another run, let its time begin as that of the first, or say --run COLUMN"

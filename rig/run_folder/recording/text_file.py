@@ -84,7 +84,12 @@ def text_of(path: Path, content: bytes) -> str:
     """The content of a file as text. Raises RecordingError with the line that is no UTF-8."""
     zero = content.find(b"\0")
     if zero >= 0:
-        raise RecordingError(path, "is a binary file", "give a text file in UTF-8", content.count(b"\n", 0, zero) + 1)
+        raise RecordingError(
+            path,
+            "is a binary file",
+            "give a text file: export time, drive and position as CSV",
+            content.count(b"\n", 0, zero) + 1,
+        )
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
