@@ -489,11 +489,13 @@ class RegisterDriver(ABC, Generic[Req]):
             raise
         self._late_in_a_row = self._late_in_a_row + 1 if reply.round_trip_s > self._timeout_s else 0
         if self._late_in_a_row >= _LATE_REPLIES:
-            raise Fault(
+            late = Fault(
                 "LINK_TIMEOUT",
                 f"{_LATE_REPLIES} replies in a row took longer than daq.timeout_s, {1e3 * self._timeout_s:g} ms: the "
                 f"last one {1e3 * reply.round_trip_s:.0f} ms",
             )
+            self._explain(late)
+            raise late
         return reply
 
     def _explain(self, fault: Fault) -> None:

@@ -17,7 +17,7 @@ from rig.core.faults import Fault
 
 REFUSAL = "SERVO_REFUSED"
 PING_S = 0.004  # in which a servo that is there begins to answer a ping
-_FEETECH_ID = 5  # address of a servo's id
+_FEETECH_NUMBER = 3, 3  # address and bytes of a servo's model number, and its id
 _PING_BYTES = 10 + 14  # of a ping and its answer
 _DYNAMIXEL, _FEETECH = dynamixel.Stream(), feetech.Stream()  # each answer is looked at by itself
 
@@ -239,7 +239,7 @@ class FeetechBus(Bus):
     @override
     def ping(self, id: int) -> Ask:
         # not by a ping: one that has an error of its supply answers that with the very same bytes, like an echo
-        return Ask(feetech.read(id, _FEETECH_ID, 1), f"servo {id}", 1)
+        return Ask(feetech.read(id, *_FEETECH_NUMBER), f"servo {id}", _FEETECH_NUMBER[1])
 
     @override
     def reboot(self) -> Ask:
@@ -329,7 +329,7 @@ class ServoLink:
         return True
 
     def is_there(self, id: int, patience_s: float = PING_S) -> tuple[int, ...] | None:
-        """What a servo of that id answers when it is asked who it is, as bytes; None where none answers.
+        """What a servo of that id answers when it is asked who it is, as bytes, its model's number first; None: none.
 
         patience_s   within which it begins to answer, s
         """

@@ -117,6 +117,7 @@ class ServoDriver(RegisterDriver[Ask]):
         self._link = ServoLink(transport, self._client, bus, setup.model, max(timeouts.reply_s, UNHURRIED_S))
         self._start_guardian = guardian
         self._only_stops = answered
+        self.end_words = ""
         self._guardian: Guardian | None = None
         self._voltage_scale = setup.model.role("voltage").scale
         self._is_changed = False  # its registers are not as before
@@ -163,8 +164,12 @@ class ServoDriver(RegisterDriver[Ask]):
 
     @override
     def _explain(self, fault: Fault) -> None:
-        if self._guardian is not None and self._guardian.has_acted:  # it speaks on the bus, too
+        if self._keeper_acted:  # it speaks on the bus, too
             raise stopped_by_keeper() from fault
+
+    @property
+    def _keeper_acted(self) -> bool:
+        return self._guardian is not None and self._guardian.has_acted
 
     def _check_alert(self, reply: Reply) -> None:
         """An answer that tells of an error is a fault by its name."""
@@ -276,11 +281,13 @@ class ServoDriver(RegisterDriver[Ask]):
         if self._only_stops:
             with turn_on(self.descriptor, _TURN_S) if self.descriptor is not None else nullcontext():
                 return super().safe_stop() and self._torque_off()
-        if self._guardian is not None and self._guardian.has_acted and self.descriptor is not None:
-            # its answers would be taken for ours; the turn is let go at once: if this process stood still, and had it,
-            # the keeper would wait
-            with turn_on(self.descriptor, _BURST_S):
-                pass
+        if self._keeper_acted:
+            self.end_words = stopped_by_keeper().detail  # whatever else ends the run: a guard, or Ctrl-C
+            if self.descriptor is not None:
+                # its answers would be taken for ours; the turn is let go at once: if this process stood still, and had
+                # it, the keeper would wait
+                with turn_on(self.descriptor, _BURST_S):
+                    pass
         stopped = super().safe_stop() or (self._met and self._cut_off())
         if self._guardian is not None and stopped:
             self._guardian.rest()  # the duty is 0
@@ -305,6 +312,19 @@ class ServoDriver(RegisterDriver[Ask]):
             guardian, self._guardian = self._guardian, None
             guardian.end(restored=restored)
         self._transport.close()
+
+    @property
+    def link_words(self) -> Mapping[str, str]:
+        """Echo and return delay, by topic, in words; once it is open."""
+        setup, delay = self._setup, self._setup.model.role("return_delay")
+        delay_s = delay.scale * (self._store.load(setup.model) or {})[delay.name]
+        echo = "nothing of what rig sends comes back"
+        if self._bus.echoes:
+            echo = "the adapter ties TX to RX: what rig sends comes back, and rig compares it"
+        waits = f"the servo waits {1e6 * delay_s:g} us before it answers, twice in a tick"
+        if delay_s > setup.longest_delay_s:
+            waits += f"; too long here: each run sets 0 and puts it back, two writes of the EEPROM for {delay}"
+        return {"echo": echo, "return delay": waits}
 
     # ------------------------------------------------------------------ opening and arming
 
@@ -515,6 +535,8 @@ class ServoDriver(RegisterDriver[Ask]):
         self._strange = self._strange + 1 if is_strange else 0
         if not is_strange:
             return
+        if self._keeper_acted:
+            raise stopped_by_keeper()
         words = f"{self._map.applied} reads {applied:g}, but {self._units} was written"
         if self._watchdog_has_acted():
             raise Fault("DEVICE_WATCHDOG", words)

@@ -5,7 +5,7 @@ Nothing is written before every check has passed and the values of before are on
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final
 
@@ -325,7 +325,8 @@ def _check_others(link: ServoLink, setup: ServoSetup) -> tuple[str, ...]:
 
     One that answers pings alone does not tell it, and obeys in silence.
     """
-    others = [id for id in range(LAST_ID + 1) if id != setup.id and link.is_there(id) is not None]
+    told = {id: link.is_there(id) for id in range(LAST_ID + 1) if id != setup.id}
+    others = {id: int.from_bytes(said[:2], "little") for id, said in told.items() if said is not None}
     shadow = link.model.roles.get("shadow_id")
     for id in others:
         if shadow is not None and (second := link.value_of(id, shadow)) in (None, setup.id):
@@ -333,7 +334,18 @@ def _check_others(link: ServoLink, setup: ServoSetup) -> tuple[str, ...]:
             raise Fault("SERVO_SETUP", f"servo {id} {tells}: it would obey rig, too")
     if not others:
         return ()
-    return (f"also on this bus: servo {', '.join(map(str, others))}; rig leaves them alone",)
+    alike = [id for id, number in others.items() if number == setup.model.number]
+    words = f"also on this bus: servo {_listed(others)}; rig leaves them alone"
+    if alike:
+        words += (
+            f". It drives servo {setup.id}, and {len(alike)} of them, {_listed(alike)}, "
+            f"{'is' if len(alike) == 1 else 'are'} of the same model: only the id tells them apart"
+        )
+    return (words,)
+
+
+def _listed(ids: Iterable[int]) -> str:
+    return ", ".join(map(str, ids))
 
 
 def _set_slope(link: ServoLink, setup: ServoSetup) -> float | None:

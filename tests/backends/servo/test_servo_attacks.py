@@ -20,6 +20,7 @@ from rig.backends.servo import keeper as keepers
 from rig.backends.servo.before import BeforeStore, order_of, store_of
 from rig.backends.servo.bus import ServoLink
 from rig.backends.servo.driver import ServoDriver
+from rig.backends.servo.emulated.faults import ReplyFault
 from rig.backends.servo.facts import facts
 from rig.backends.servo.guardian import Guardian
 from rig.backends.servo.scan import reboot, restore
@@ -212,6 +213,29 @@ def test_no_drive_follows_the_stop_of_the_keeper(protocol: str) -> None:
     with pytest.raises(Fault, match="DEVICE_WATCHDOG"):
         bench.driver.write(-1.0)
     assert bench.servo.of("drive") == driven != 0
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize("late", [False, True])
+def test_who_goes_on_after_the_keeper_has_acted_says_so(protocol: str, late: bool) -> None:
+    """The first reading shows its stop; or the bus is only late, three times."""
+    bench = Bench(protocol)
+    watching = Watching(bench)
+    bench.driver._start_guardian = watching
+    bench.armed()
+    bench.tick(1.0)
+    bench.bus.sleep_until(bench.bus.now_s() + 0.02)
+    watching.has_acted = True
+    if late:
+        bench.driver._late_in_a_row = 2
+        bench.bus.bus.reply_fault = ReplyFault("late", by_s=0.02)
+    else:
+        bench.servo._set("torque", 0)
+        bench.bus.sleep_until(bench.bus.now_s() + 0.002)
+    with pytest.raises(Fault, match=r"DEVICE_WATCHDOG.*keeper"):
+        bench.driver.read()
+    bench.bus.bus.reply_fault = None
+    assert bench.driver.safe_stop() and "keeper" in bench.driver.end_words
 
 
 def test_a_servo_that_does_not_answer_is_no_silence_of_rig(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -133,10 +133,11 @@ def test_bytes_that_nobody_asked_for_are_those_of_another_master(protocol: str) 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_opening_tells_who_is_there_and_what_it_changes(protocol: str) -> None:
     bench = Bench(protocol)
+    bench.bystanders[0].put("model_number", 9)
     info = bench.opened()
     told = " ".join(info.remarks)
     assert info.board == bench.setup.model.name and info.drive_units == bench.setup.model.full_drive
-    assert all(str(id) in told for id in BYSTANDERS)
+    assert "also on this bus: servo 4, 7" in told and "drives servo 1, and 1 of them, 7, is of the same model" in told
     assert bench.setup.model.roles["mode"] in told
     assert abs(info.supply_V - bench.setup.supply_V) <= 0.06
     assert not bench.servo.is_on and bench.servo.of("drive") == 0
