@@ -23,9 +23,19 @@ from rig.backends.registers.map import Register, RegisterSpan
 from rig.backends.servo.before import BeforeStore, put_back
 from rig.backends.servo.bus import Ask, ServoLink, bus_of
 from rig.backends.servo.guardian import Guardian, beat, stopped_by_keeper
-from rig.backends.servo.opening import ServoSetup, check_ready, error_words, leave_no_trace, look, other_mode, set_up
+from rig.backends.servo.opening import (
+    ServoSetup,
+    check_ready,
+    error_words,
+    leave_no_trace,
+    look,
+    other_mode,
+    set_up,
+    try_switch,
+)
 from rig.backends.servo.registers import ServoMap, servo_map
 from rig.backends.servo.steps import STEP_S, WRAPS, Steps
+from rig.core import person
 from rig.core.calibration import Scaling
 from rig.core.faults import Fault
 from rig.core.link_turn import turn_on
@@ -117,6 +127,7 @@ class ServoDriver(RegisterDriver[Ask]):
         self._link = ServoLink(transport, self._client, bus, setup.model, max(timeouts.reply_s, UNHURRIED_S))
         self._start_guardian = guardian
         self._only_stops = answered
+        self._is_switch_tried = setup.supply_switch == ""
         self.end_words = ""
         self._guardian: Guardian | None = None
         self._voltage_scale = setup.model.role("voltage").scale
@@ -189,6 +200,10 @@ class ServoDriver(RegisterDriver[Ask]):
         self._until_there()
         left = leave_no_trace(self._link, self._setup, self._store)
         remarks = look(self._link, self._setup)
+        if self._setup.supply_switch and person.asks is not None:
+            try_switch(self._link, self._setup, person.asks)
+            remarks = look(self._link, self._setup)  # it has started anew
+            self._is_switch_tried = True
         opened = set_up(self._link, self._setup, self._store, self._have_it_watched)
         self._map = replace(self._map, watchdog=self._map.watchdog if opened.has_watchdog else None)
         self.failsafe = DeviceWatchdog(self._setup.watchdog_s) if opened.has_watchdog else None
@@ -211,7 +226,12 @@ class ServoDriver(RegisterDriver[Ask]):
 
     @override
     def arm(self, limits: Limits) -> None:
-        """As of ``RegisterDriver``; torque on with duty 0 alone, which is read back before."""
+        """As of ``RegisterDriver``; torque on with duty 0 alone, which is read back before.
+
+        Raises also Fault SERVO_SWITCH_UNTRIED.
+        """
+        if not self._is_switch_tried:
+            raise Fault("SERVO_SWITCH_UNTRIED", self._setup.supply_switch)
         self._tick = None
         self._strange = self._bad = self._doubted = 0
         super().arm(limits)

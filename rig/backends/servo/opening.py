@@ -14,6 +14,7 @@ from rig.backends.servo.bus import ServoLink
 from rig.backends.servo.models import ServoModel, models_of
 from rig.backends.servo.packets import LAST_ID
 from rig.core.faults import Fault
+from rig.core.person import Asks
 
 _SUPPLY_SHARE: Final = 0.05  # by which the voltage register and drive.supply_V may differ
 _LIMIT_SHARE: Final = 0.03  # that the supply must keep from the servo's own voltage limits
@@ -31,6 +32,7 @@ _PROOF_STEPS: Final = 3  # of the drive: 0.3 %, far below breakaway
 _PROOF_S: Final = 0.06  # three times the watchdog's time
 _ACTS_S: Final = 0.05  # until the proof's duty shows
 _FASTEST: Final = 255
+_SWITCH_LOOK_S, _SWITCH_LOOKS = 0.1, 3  # that must agree: one answer may be lost
 
 _ERRORS: Final = {
     "dynamixel": {0x01: "supply", 0x04: "heat", 0x08: "encoder", 0x10: "shock", 0x20: "overload"},
@@ -51,6 +53,7 @@ class ServoSetup:
     max_units     largest drive of the experiment, steps
     watchdog_s    silence after which its watchdog acts, s
     longest_delay_s  return delay that a tick has room for, s: one that is not longer stays as it is
+    supply_switch    that must be tried before it drives, in words; empty: none must
     """
 
     model: ServoModel
@@ -63,6 +66,7 @@ class ServoSetup:
     max_units: int
     watchdog_s: float
     longest_delay_s: float = 0.0
+    supply_switch: str = ""
 
 
 @dataclass(frozen=True)
@@ -116,6 +120,32 @@ def objections(link: ServoLink) -> tuple[str, ...]:
                 raise
             found.append(f"{fault.code}: {fault.detail}")
     return tuple(found)
+
+
+def try_switch(link: ServoLink, setup: ServoSetup, asks: Asks) -> None:
+    """Have a person cut the supply by its switch: the servo must fall silent, or tell that it has none, and come back.
+
+    Raises Fault SERVO_SWITCH_UNTRIED where that is not seen in time, LINK_LOST.
+    """
+    id, voltage = link.bus.id, link.model.role("voltage")
+
+    def seen(is_there: bool) -> Callable[[], bool]:
+        looks = 0
+
+        def is_seen() -> bool:
+            nonlocal looks
+            link.client.wait(_SWITCH_LOOK_S)
+            value = link.value_of(id, voltage.name)
+            has_supply = value is not None and value * voltage.scale > 0.5 * setup.supply_V
+            looks = looks + 1 if has_supply == is_there else 0
+            return looks >= _SWITCH_LOOKS
+
+        return is_seen
+
+    if not asks(f"open the switch of the servo's supply: {setup.supply_switch}", seen(is_there=False)):
+        raise Fault("SERVO_SWITCH_UNTRIED", f"servo {id} answered on: does this switch cut its supply?")
+    if not asks(f"servo {id} has no supply: close the switch again", seen(is_there=True)):
+        raise Fault("SERVO_SWITCH_UNTRIED", f"servo {id} did not come back")
 
 
 def leave_no_trace(link: ServoLink, setup: ServoSetup, store: BeforeStore) -> Left:
