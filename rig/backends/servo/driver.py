@@ -25,15 +25,16 @@ from rig.backends.servo.bus import Ask, ServoLink, bus_of
 from rig.backends.servo.guardian import Guardian, beat, stopped_by_keeper
 from rig.backends.servo.opening import (
     ServoSetup,
-    check_ready,
     error_words,
     leave_no_trace,
     look,
     other_mode,
+    set_to_0,
     set_up,
+    switch_on,
     try_switch,
 )
-from rig.backends.servo.registers import ServoMap, servo_map
+from rig.backends.servo.registers import ServoMap, bus_register, servo_map
 from rig.backends.servo.steps import STEP_S, WRAPS, Steps
 from rig.core import person
 from rig.core.calibration import Scaling
@@ -384,8 +385,15 @@ class ServoDriver(RegisterDriver[Ask]):
             self._values(self._read_span, self._unhurried_reading())
 
     @override
-    def _check_drive_is_0(self) -> None:
-        check_ready(self._link)
+    def _disarm(self) -> None:
+        self._client.patiently(self._off, self._unhurried_s)
+
+    @override
+    def _switch_on(self) -> None:
+        set_to_0(self._link)
+        self._driven_s = self._transport.now_s()
+        self._check_settings()  # its watchdog, too, is forgotten with the supply
+        switch_on(self._link)
 
     @override
     def _await_armed(self) -> None:
@@ -407,8 +415,11 @@ class ServoDriver(RegisterDriver[Ask]):
 
     @override
     def _write_stop(self, asked: Callable[[Ask, float], Reply], timeout_s: float) -> None:
-        """Duty 0; where the servo takes none, as after its watchdog has acted, torque off first."""
-        if self._only_stops:
+        """Duty 0; where the servo takes none, as after its watchdog has acted, torque off first.
+
+        In another mode, as after its supply has failed, torque off alone: there the write of a duty may switch it on.
+        """
+        if self._only_stops or self._has_forgotten(asked, timeout_s):
             asked(self._off, timeout_s)
             return
         try:
@@ -421,13 +432,21 @@ class ServoDriver(RegisterDriver[Ask]):
             self._write_torque_off(asked, timeout_s)
         self._units = 0
 
+    def _has_forgotten(self, asked: Callable[[Ask, float], Reply], timeout_s: float) -> bool:
+        """Whether it has lost its mode with its supply, as one with a lock does."""
+        model = self._setup.model
+        if "lock" not in model.roles:
+            return False
+        mode = bus_register(model, model.roles["mode"])
+        return mode.unpack(self._cells(asked(self._reading(RegisterSpan((mode,))), timeout_s))) != model.pwm_mode
+
     def _write_torque_off(self, asked: Callable[[Ask, float], Reply], timeout_s: float) -> None:
         watchdog = servo_map(self._setup.model).watchdog
         asked(self._off, timeout_s)
-        if watchdog is not None:
+        if watchdog is not None:  # one that has acted holds a duty, and takes none
             asked(self._setting(watchdog, 0.0), timeout_s)
             self._written = [one for one in self._written if one[0].name != "watchdog"]
-        asked(self._setting(self._map.drive, 0.0), timeout_s)
+            asked(self._setting(self._map.drive, 0.0), timeout_s)
 
     def _cut_off(self) -> bool:
         """Torque off at once, where no duty 0 was confirmed: in another mode it says nothing to a servo."""
@@ -468,7 +487,8 @@ class ServoDriver(RegisterDriver[Ask]):
     def _settle(self) -> None:
         if not self._client.is_suspect:
             return
-        stop = self._off if self._only_stops else self._setting(self._map.drive, 0.0)
+        is_drive_safe = not self._only_stops and "lock" not in self._setup.model.roles  # else it may have lost its mode
+        stop = self._setting(self._map.drive, 0.0) if is_drive_safe else self._off
         self._client.unheard(stop, LATE_TIMEOUTS * self._timeout_s)
 
     # ------------------------------------------------------------------ what the values mean

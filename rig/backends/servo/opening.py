@@ -27,7 +27,7 @@ _TORQUE_AT_START, _RAM_AT_START = 0x01, 0x02  # bits of its startup configuratio
 _ANSWERS_ALL: Final = {"dynamixel": 2, "feetech": 1}  # level at which a servo answers every instruction
 _NO_SHADOW: Final = 253  # from here on there is no second id
 _MANY_TURNS: Final = 0x10  # bit of Feetech's phase
-_PROTECTS: Final = 0x24  # bits of Feetech's unloading condition: overload and heat
+_PROTECTS: Final = 0x24  # bits of what takes the torque away, of both protocols: overload and heat
 _PROOF_STEPS: Final = 3  # of the drive: 0.3 %, far below breakaway
 _PROOF_S: Final = 0.06  # three times the watchdog's time
 _ACTS_S: Final = 0.05  # until the proof's duty shows
@@ -103,6 +103,7 @@ def look(link: ServoLink, setup: ServoSetup) -> tuple[str, ...]:
     _check_bus(link)
     _check_errors(link)
     _check_setup(link)
+    _check_limit(link, setup)
     _check_supply(link, setup)
     _check_heat(link, setup)
     _check_torque(link)
@@ -182,7 +183,7 @@ def set_up(
     before = values_of(link)
     store.save(model, setup.id, before)
     watched()
-    torque, drive, mode, limit = (model.roles[role] for role in ("torque", "drive", "mode", "max_drive"))
+    torque, mode, limit = (model.roles[role] for role in ("torque", "mode", "max_drive"))
     link.put(torque, 0)
     if "watchdog" in model.roles:
         link.put(model.roles["watchdog"], 0)  # one that has acted takes no goal
@@ -191,8 +192,7 @@ def set_up(
         link.hold(delay.name, 0)
     link.hold(limit, setup.max_units)  # first: changing the mode sets the goal to it
     link.hold(mode, model.pwm_mode)
-    link.put(drive, 0)
-    check_ready(link)
+    set_to_0(link)
     link.put(torque, 0)
     slope_V_s = _set_slope(link, setup)
     firmware = link.value(model.roles["firmware"])
@@ -246,14 +246,44 @@ def check_one(link: ServoLink) -> None:
         )
 
 
-def check_ready(link: ServoLink) -> None:
-    """The last look before the torque goes on: another duty than 0, or another mode, would drive the shaft at once.
+def set_to_0(link: ServoLink) -> None:
+    """Duty 0, of a servo in PWM mode: in another one the write of a goal may switch the torque on.
 
-    A servo that has lost its supply meanwhile has forgotten either. Raises Fault ARM_READBACK, DEVICE_RESET.
+    Raises Fault ARM_READBACK, DEVICE_RESET, LINK_*.
     """
-    drive = link.model.roles["drive"]
-    if (held := link.value(drive)) != 0:
-        raise Fault("ARM_READBACK", f"{link.model[drive]}: sent 0, stored {held}")
+
+    def write(one: ServoLink) -> None:
+        _check_mode(one)
+        one.put(link.model.roles["drive"], 0)
+        _check_drive_is_0(one)
+
+    link.in_one_go(write)
+
+
+def switch_on(link: ServoLink, last: Callable[[], None] = lambda: None) -> None:
+    """Torque on, right behind a last look: another duty than 0, or another mode, would drive the shaft at once.
+
+    A servo that has lost its supply meanwhile has forgotten either; one that loses it in between is looked at anew.
+
+    last  called when all but the torque is done
+    Raises Fault ARM_READBACK, DEVICE_RESET, LINK_*.
+    """
+
+    def on(one: ServoLink) -> None:
+        _check_mode(one)
+        _check_drive_is_0(one)
+        last()
+        one.put(link.model.roles["torque"], 1)
+
+    link.in_one_go(on)
+
+
+def _check_drive_is_0(link: ServoLink) -> None:
+    if (held := link.value(link.model.roles["drive"])) != 0:
+        raise Fault("ARM_READBACK", f"{link.model.role('drive')}: sent 0, stored {held}")
+
+
+def _check_mode(link: ServoLink) -> None:
     if (words := other_mode(link)) is not None:
         raise Fault("DEVICE_RESET", words)
 
@@ -316,8 +346,8 @@ def _check_setup(link: ServoLink) -> None:
         raise Fault("SERVO_SETUP", f"{model.role('lock')} is 0: what rig writes would stay for good")
     if "phase" in roles and (bits := link.value(roles["phase"])) & _MANY_TURNS:
         raise Fault("SERVO_SETUP", f"{model.role('phase')} reads {bits}: its position counts turns")
-    if "protection" in roles and ~(bits := link.value(roles["protection"])) & _PROTECTS:
-        raise Fault("SERVO_SETUP", f"{model.role('protection')} reads {bits}: it does not protect itself")
+    if ~(bits := link.value(roles["shutdown"])) & _PROTECTS:
+        raise Fault("SERVO_SETUP", f"{model.role('shutdown')} reads {bits}: it does not protect itself")
 
 
 def check_startup(link: ServoLink) -> None:
@@ -327,6 +357,14 @@ def check_startup(link: ServoLink) -> None:
         if bits & (_TORQUE_AT_START | _RAM_AT_START):
             words = f"{link.model.role('startup')} reads {bits}: it can drive as soon as it has supply, or is rebooted"
             raise Fault("SERVO_SETUP", words)
+
+
+def _check_limit(link: ServoLink, setup: ServoSetup) -> None:
+    """Its own limit of the duty is somebody's choice, as of a gripper: it is lowered for a run, and never raised."""
+    limit = link.value(link.model.roles["max_drive"])
+    if limit < setup.max_units:
+        most_V = limit / link.model.full_drive * setup.supply_V
+        raise Fault("SERVO_SETUP", f"{link.model.role('max_drive')} reads {limit}: lower drive.max_V to {most_V:.3g} V")
 
 
 def _check_supply(link: ServoLink, setup: ServoSetup) -> None:
@@ -397,8 +435,7 @@ def _prove_watchdog(link: ServoLink) -> tuple[bool, tuple[str, ...]]:
     if "watchdog" not in roles:
         return False, ()
     torque, drive, applied, watchdog = (roles[role] for role in ("torque", "drive", "applied", "watchdog"))
-    check_ready(link)
-    link.put(torque, 1)
+    switch_on(link)
     try:
         link.put(drive, _PROOF_STEPS)
         waited_s = 0.0
