@@ -286,11 +286,13 @@ class ServoLink:
         one._asked = self.client.asked
         for left in reversed(range(ATTEMPTS)):
             try:
-                return do(one)
+                do(one)
             except Fault as fault:
                 if left == 0 or fault.code not in ("LINK_TIMEOUT", "LINK_REPLY"):
                     raise
                 self.client.wait(self._timeout_s)  # an answer that is late must not be taken for another one
+            else:
+                return
 
     def value(self, name: str) -> int:
         """What a register holds."""

@@ -123,7 +123,7 @@ def test_a_supply_that_fails_ahead_of_any_packet_of_a_run_never_drives(protocol:
         bench, left = Bench(protocol, torque_on_by_goal=True), number
         use_limit_of_config(bench)
 
-        def ahead(data: bytes, protocol: str = protocol) -> bool:
+        def ahead(data: bytes, protocol: str = protocol, number: int = number) -> bool:
             nonlocal left
             left -= left < number or data[7 if protocol == "dynamixel" else 4] == 3  # from the first write on
             return left < 0
