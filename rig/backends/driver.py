@@ -203,7 +203,8 @@ class Driver(Protocol):
     device latches an e-stop by itself, armed or not, the driver has an attribute ``latches_stops`` that is true. Any
     other driver is read throughout the pauses of a run, from another thread, while nothing else uses it. A driver on a
     link that another process can inherit has an attribute ``descriptor``, the number of its open file or socket: that
-    process stops the device where a law of a user's own never returns (``Backend.stopper``).
+    process stops the device where a law of a user's own never returns (``Backend.stopper``). What a run's end must say
+    of the device stands in an attribute ``end_words``, what `rig doctor` says of the link, by topic, in ``link_words``.
     Constructing a driver touches no device. ``rig.testing.conformance`` tests a driver against this interface.
     """
 

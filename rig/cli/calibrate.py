@@ -9,6 +9,7 @@ from pathlib import Path
 
 import click
 
+from rig.cli.driving import let_ask
 from rig.cli.shared import CONFIG, EXIT_FAILED, FILE, JSON, OUT, PACE, asks_json, fail, say_json
 from rig.config.problems import key_of
 from rig.core.signals import plain
@@ -49,6 +50,7 @@ def calibrate(config_path: Path, steps: tuple[str, ...], answers: Path | None, o
     terminal = _Terminal(
         config_path, _lines(answers), echoes=answers is not None or not sys.stdin.isatty(), err=asks_json()
     )
+    let_ask()
     with told(out, "calibrate") as flag:
         terminal.say(Say("At any question `skip` leaves the step out, `quit` ends without writing."))
         done = go_through(opened, steps or tuple(known), out, terminal, flag)

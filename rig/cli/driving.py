@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Final, NoReturn
 
 import click
 from rich.console import Console
@@ -14,11 +16,14 @@ from rich.console import Console
 from rig.backends.serial.ports import CHIP_PORTS
 from rig.cli.shared import EXIT_FAILED, asks_json, fail, say_json
 from rig.config import Experiment, read
+from rig.core import person
 from rig.running import preflight
 from rig.terminal import show_run
 
 if TYPE_CHECKING:  # scipy comes with it
     from rig.running.session import OnStart, Outcome
+
+_HAND_S: Final = 60.0  # longest wait for what a hand does
 
 
 def checked(path: Path, pace: float | None = None, *, drives: bool = True, as_checked: str | None = None) -> Experiment:
@@ -48,7 +53,27 @@ def checked_bench(path: Path, pace: float | None = None, as_checked: str | None 
     require_device_file(experiment.daq.port)
     require_emulator(experiment.daq.port)
     say_chip_starts(experiment.daq.port)
+    let_ask()
     return experiment
+
+
+def let_ask() -> None:
+    """Have devices ask who sits at this terminal for a hand; in a pipe, or with --json, nobody."""
+    if Console(stderr=True).is_terminal and not asks_json():
+        person.asks = _ask_for
+
+
+def _ask_for(words: str, is_seen: Callable[[], bool]) -> bool:
+    """As of ``person.asks``. Ctrl-C ends the command at once: nothing drives yet."""
+    click.echo(words, err=True)
+    until_s, before = time.monotonic() + _HAND_S, signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        while not is_seen():
+            if time.monotonic() > until_s:
+                return False
+        return True
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def say_chip_starts(port: str | None) -> None:

@@ -212,6 +212,10 @@ FAULTS: dict[str, FaultEntry] = {
         "the words beside this line say why its keeper did not start, or ended: too little memory, too few processes "
         "allowed (`ulimit -u`), or somebody ended it. Mend that, and type `rig run CONFIG` again",
     ),
+    "SERVO_SWITCH_UNTRIED": FaultEntry(
+        "a joint that no watchdog stops is driven only after the switch of its supply has been tried",
+        "type the command in a terminal, without --json: rig asks you to open the switch, and to close it again",
+    ),
     # guard
     "TRAVEL_HARD": FaultEntry(
         "the position is beyond the hard travel limit",

@@ -15,8 +15,12 @@ from rig.core.signals import plain
 
 _MACHINES_OWN: Final = 0xEFFFFFFC  # number of the machine's own PID namespace (PROC_PID_INIT_INO of Linux)
 # what waits for its child, and may give it a group of its own
-_WAITING: Final = {"docker-init", "podman-init", "tini", "tini-static", "dumb-init", "catatonit", "sudo", "script"}
+_WAITING: Final = {
+    "docker-init", "podman-init", "tini", "tini-static", "dumb-init", "catatonit", "sudo", "su", "runuser", "script",
+    "screen", "tmux: server", "tmux: client",
+}  # fmt: skip
 _SHELLS: Final = {"sh", "dash", "bash", "ash", "busybox", "zsh", "ksh", "fish"}
+_WITH_A_WORD: Final = {"rcfile", "init-file"}  # a shell's options behind which a file stands that it does not end with
 _PROC: Final = Path("/proc")
 _LONGEST_COMMAND: Final = 100
 
@@ -55,8 +59,25 @@ def first_that_ends_with(pid: int, proc: Path = _PROC) -> str:
 def _only_waits(parent: _Process, child: _Process) -> bool:
     if parent.group == child.group or parent.name in _WAITING:
         return True
-    options = [word for word in parent.words[1:] if not word.startswith("--")]
-    return parent.name in _SHELLS and any("c" in word or not word.startswith("-") for word in options)
+    return parent.name in _SHELLS and _ends_by_itself(parent.words[2 if parent.name == "busybox" else 1 :])
+
+
+def _ends_by_itself(options: tuple[str, ...]) -> bool:
+    """Whether a shell that is called with these has a command or a script: else it takes commands, and lives on."""
+    words = iter(options)
+    for word in words:
+        name = word.lstrip("-+")
+        if word.startswith("--"):
+            if name.startswith("command"):
+                return True
+            with_a_word = name in _WITH_A_WORD
+        elif not word.startswith(("-", "+")) or "c" in name:
+            return True
+        else:
+            with_a_word = name.endswith(("o", "O"))
+        if with_a_word:
+            next(words, None)
+    return False
 
 
 def _process(pid: int, proc: Path) -> _Process:

@@ -262,7 +262,8 @@ def _run_script(script: Script, session: Session, on_start: OnStart | None) -> F
     if fault is not None:
         session.note("fault", **fault.as_dict())
     session.paced = _told_pace(session)
-    session.found.notes += _loop_notes(session.loop) + ([session.paced] if session.paced else [])
+    ends = getattr(session.bench.driver, "end_words", "")
+    session.found.notes += [*_loop_notes(session.loop), *filter(None, (ends, session.paced))]
     session.note("end")
     return fault
 

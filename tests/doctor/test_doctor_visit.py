@@ -8,6 +8,9 @@ import yaml
 from click.testing import CliRunner, Result
 
 from emulated_chips.opening import emulated_chip
+from rig.backends.servo.emulated.bus import LineTimes
+from rig.backends.servo.emulated.virtual_bus import VirtualServoBus
+from rig.backends.servo.line import emulated_servo
 from rig.cli import main
 from rig.config import load
 from rig.testing.line import on_device
@@ -48,6 +51,15 @@ def test_a_device_is_met_and_timed_but_not_armed(tmp_path: Path) -> None:
     assert "host board" in found["device"]["words"]
     assert "exchanges" in found["round trip"]["words"]
     assert "ticks took" in found["period"]["words"]
+
+
+@pytest.mark.parametrize("echoes", [False, True])
+def test_of_a_servo_it_tells_echo_and_return_delay(echoes: bool) -> None:
+    config = ROOT / "config/servo.yaml"
+    bus = VirtualServoBus([emulated_servo(load(config).device)], line=LineTimes(echo=echoes))
+    with on_device(bus):
+        told = " ".join(doctor(config).stdout.split())
+    assert ("the adapter ties TX to RX" in told) == echoes and "the servo waits 500 us before it answers" in told
 
 
 def test_a_port_that_is_not_there_ends_the_visit_with_status_1(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ _SERVOS = {
     dynamixel: (ServoOptions(id=1, registers={"return_delay_time": 0}), ServoOptions(model="xl430-w250", id=2)),
     feetech: (ServoOptions(model="sts3215", id=1), ServoOptions(model="sts3250", id=2)),
 }
+_FAST = (dynamixel.Instruction.FAST_SYNC_READ, dynamixel.Instruction.FAST_BULK_READ)
 _PAUSES_S = (0.0, 1e-5, 1e-3, 0.02)
 
 
@@ -66,7 +67,10 @@ def _bytes(taken: list[Any]) -> bytes:
 
 
 def buses(data: bytes) -> None:
-    """Whatever a host sends: no error; what comes back are whole packets, unless the host spoke in between."""
+    """Whatever a host sends: no error; what comes back are whole packets, unless the host spoke in between.
+
+    The one answer to a fast read ends where a servo that it names is missing: that is none.
+    """
     for codec, servos in _SERVOS.items():
         bus = ServoBus(servos)
         t_s = 0.001
@@ -78,7 +82,7 @@ def buses(data: bytes) -> None:
             said += bus.receive(t_s)
         bus.advance_to(t_s + 0.05)
         said += bus.receive(t_s + 0.05)
-        if bus.collisions == 0:
+        if bus.collisions == 0 and not any(getattr(frame, "instruction", 0) in _FAST for _, frame in bus.log):
             assert not any(isinstance(taken, Skipped) for taken in _taken(codec, [said])), said.hex()
 
 

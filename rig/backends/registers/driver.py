@@ -132,8 +132,15 @@ class RegisterDriver(ABC, Generic[Req]):
         """Look at what a reading of an armed device says. Raises Fault."""
         self._check_status(values)
 
-    def _check_drive_is_0(self) -> None:
-        """The last look before the device is armed, with drive 0 written. Raises Fault."""
+    def _disarm(self) -> None:
+        """Before it is armed. Raises Fault."""
+        self._write_stop(self._client.patiently, self._unhurried_s)
+
+    def _switch_on(self) -> None:
+        """Drive 0, and armed, where there is a register for that. Raises Fault."""
+        self._driven_s = self._client.patiently(self._writing_drive(0), self._unhurried_s).executed_s
+        if self._map.control is not None:
+            self._client.patiently(self._setting(self._map.control, self._map.arm), self._unhurried_s)
 
     def _acting_V(self, values: Mapping[str, float]) -> float:
         """The drive that acts since the last write, V: as the device reports it, else as commanded."""
@@ -159,7 +166,7 @@ class RegisterDriver(ABC, Generic[Req]):
             self.read()
         self._is_off = False
         self._forget_echo()
-        self._write_stop(self._client.patiently, self._unhurried_s)
+        self._disarm()
         self._check_settings()
         if settings != self._written:
             for register, words in settings:
@@ -169,10 +176,7 @@ class RegisterDriver(ABC, Generic[Req]):
         if self._map.watchdog is not None:
             self.failsafe = DeviceWatchdog(limits.watchdog_s)
         self._units, self._t_u_s = 0, math.nan
-        self._driven_s = self._client.patiently(self._writing_drive(0), self._unhurried_s).executed_s
-        self._check_drive_is_0()
-        if self._map.control is not None:
-            self._client.patiently(self._setting(self._map.control, self._map.arm), self._unhurried_s)
+        self._switch_on()
         self._await_armed()
         self._armed = True
         self._acts_s = 0.0 if self.failsafe is None else min(self.failsafe.time_s, LONGEST_WATCHDOG_S)
@@ -492,11 +496,13 @@ class RegisterDriver(ABC, Generic[Req]):
             return reply
         self._late_in_a_row += 1
         if self._late_in_a_row >= _LATE_REPLIES:
-            raise Fault(
+            late = Fault(
                 "LINK_TIMEOUT",
                 f"{_LATE_REPLIES} replies in a row took longer than daq.timeout_s, {1e3 * self._timeout_s:g} ms: the "
                 f"last one {1e3 * reply.round_trip_s:.0f} ms",
             )
+            self._explain(late)
+            raise late
         return reply
 
     def _explain(self, fault: Fault) -> None:

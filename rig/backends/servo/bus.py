@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from copy import copy
 from types import ModuleType
 from typing import NamedTuple, TypeVar
 
 from typing_extensions import override
 
 from rig.backends.driver import Transport
-from rig.backends.registers.bus import BusClient, Damaged, Protocol
+from rig.backends.registers.bus import ATTEMPTS, BusClient, Damaged, Protocol
 from rig.backends.servo import dynamixel, feetech
 from rig.backends.servo.link_budget import BITS_PER_BYTE, TURNAROUND_S
 from rig.backends.servo.models import ServoModel
@@ -18,7 +19,7 @@ from rig.core.faults import Fault
 
 REFUSAL = "SERVO_REFUSED"
 PING_S = 0.004  # in which a servo that is there begins to answer a ping
-_FEETECH_ID = 5  # address of a servo's id
+_FEETECH_NUMBER = 3, 3  # address and bytes of a servo's model number, and its id
 _PING_BYTES = 10 + 14  # of a ping and its answer
 _DYNAMIXEL, _FEETECH = dynamixel.Stream(), feetech.Stream()  # each answer is looked at by itself
 
@@ -216,7 +217,7 @@ class FeetechBus(Bus):
     @override
     def ping(self, id: int) -> Ask:
         # not by a ping: one that has an error of its supply answers that with the very same bytes, like an echo
-        return Ask(feetech.read(id, _FEETECH_ID, 1), f"servo {id}", 1)
+        return Ask(feetech.read(id, *_FEETECH_NUMBER), f"servo {id}", _FEETECH_NUMBER[1])
 
 
 def bus_of(model: ServoModel, id: int, baud: int) -> Bus:
@@ -233,7 +234,7 @@ class ServoLink:
     model      its registers
     timeout_s  longest wait for one reply, s
     now_s      clock of the port, s
-    Each method raises Fault LINK_*, SERVO_REFUSED.
+    Each method raises Fault LINK_*, SERVO_REFUSED. Questions and writes are repeated where no answer comes.
     """
 
     def __init__(
@@ -241,7 +242,7 @@ class ServoLink:
     ) -> None:
         self.client, self.bus, self.model = client, bus, model
         self.now_s = transport.now_s
-        self._timeout_s = timeout_s
+        self._timeout_s, self._asked = timeout_s, client.patiently
         self._pings = BusClient(transport, bus)  # of its own: that nobody answers a ping is no error of the link
 
     @property
@@ -249,11 +250,28 @@ class ServoLink:
         """Bytes so far that were no awaited answer."""
         return self._pings.statistics["stale_bytes"] + self.client.statistics["stale_bytes"]
 
+    def in_one_go(self, do: Callable[[ServoLink], None]) -> None:
+        """Do this where each answer comes at once; else all of it anew, three times at most.
+
+        A servo that starts anew is silent meanwhile: so what it has told before still holds.
+        """
+        one = copy(self)
+        one._asked = self.client.asked
+        for left in reversed(range(ATTEMPTS)):
+            try:
+                do(one)
+            except Fault as fault:
+                if left == 0 or fault.code not in ("LINK_TIMEOUT", "LINK_REPLY"):
+                    raise
+                self.client.wait(self._timeout_s)  # an answer that is late must not be taken for another one
+            else:
+                return
+
     def value(self, name: str) -> int:
         """What a register holds."""
         register = self.model[name]
         ask = self.bus.reading(register.address, register.size, str(register))
-        data = self.client.patiently(ask, self._timeout_s).pdu[1:]
+        data = self._asked(ask, self._timeout_s).pdu[1:]
         try:
             return register.unpack(data)
         except ValueError as error:
@@ -281,7 +299,7 @@ class ServoLink:
 
     def put(self, name: str, value: int) -> None:
         """Write a register; the reply confirms it."""
-        self.client.patiently(self.write_of(name, value), self._timeout_s)
+        self._asked(self.write_of(name, value), self._timeout_s)
 
     def write_of(self, name: str, value: int) -> Ask:
         """The instruction that writes a register. Raises ValueError where it cannot hold the value."""
@@ -302,7 +320,7 @@ class ServoLink:
         return True
 
     def is_there(self, id: int, patience_s: float = PING_S) -> tuple[int, ...] | None:
-        """What a servo of that id answers when it is asked who it is, as bytes; None where none answers.
+        """What a servo of that id answers when it is asked who it is, as bytes, its model's number first; None: none.
 
         patience_s   within which it begins to answer, s
         """

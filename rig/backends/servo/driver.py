@@ -22,9 +22,20 @@ from rig.backends.registers.map import Register, RegisterSpan
 from rig.backends.servo.before import BeforeStore, put_back
 from rig.backends.servo.bus import Ask, ServoLink, bus_of
 from rig.backends.servo.guardian import Guardian, beat, stopped_by_keeper
-from rig.backends.servo.opening import ServoSetup, check_ready, error_words, leave_no_trace, look, other_mode, set_up
-from rig.backends.servo.registers import ServoMap, servo_map
+from rig.backends.servo.opening import (
+    ServoSetup,
+    error_words,
+    leave_no_trace,
+    look,
+    other_mode,
+    set_to_0,
+    set_up,
+    switch_on,
+    try_switch,
+)
+from rig.backends.servo.registers import ServoMap, bus_register, servo_map
 from rig.backends.servo.steps import STEP_S, WRAPS, Steps
+from rig.core import person
 from rig.core.calibration import Scaling
 from rig.core.faults import Fault
 from rig.core.link_turn import turn_on
@@ -116,6 +127,8 @@ class ServoDriver(RegisterDriver[Ask]):
         self._link = ServoLink(transport, self._client, bus, setup.model, max(timeouts.reply_s, UNHURRIED_S))
         self._start_guardian = guardian
         self._only_stops = answered
+        self._is_switch_tried = setup.supply_switch == ""
+        self.end_words = ""
         self._guardian: Guardian | None = None
         self._voltage_scale = setup.model.role("voltage").scale
         self._weak_V = (1.0 - _SAG_SHARE) * setup.supply_V
@@ -163,8 +176,12 @@ class ServoDriver(RegisterDriver[Ask]):
 
     @override
     def _explain(self, fault: Fault) -> None:
-        if self._guardian is not None and self._guardian.has_acted:  # it speaks on the bus, too
+        if self._keeper_acted:  # it speaks on the bus, too
             raise stopped_by_keeper() from fault
+
+    @property
+    def _keeper_acted(self) -> bool:
+        return self._guardian is not None and self._guardian.has_acted
 
     def _check_alert(self, reply: Reply) -> None:
         """An answer that tells of an error is a fault by its name."""
@@ -184,6 +201,10 @@ class ServoDriver(RegisterDriver[Ask]):
         self._until_there()
         left = leave_no_trace(self._link, self._setup, self._store)
         remarks = look(self._link, self._setup)
+        if self._setup.supply_switch and person.asks is not None:
+            try_switch(self._link, self._setup, person.asks)
+            remarks = look(self._link, self._setup)  # it has started anew
+            self._is_switch_tried = True
         opened = set_up(self._link, self._setup, self._store, self._have_it_watched)
         self._map = replace(self._map, watchdog=self._map.watchdog if opened.has_watchdog else None)
         self.failsafe = DeviceWatchdog(self._setup.watchdog_s) if opened.has_watchdog else None
@@ -206,7 +227,12 @@ class ServoDriver(RegisterDriver[Ask]):
 
     @override
     def arm(self, limits: Limits) -> None:
-        """As of ``RegisterDriver``; torque on with duty 0 alone, which is read back before."""
+        """As of ``RegisterDriver``; torque on with duty 0 alone, which is read back before.
+
+        Raises also Fault SERVO_SWITCH_UNTRIED.
+        """
+        if not self._is_switch_tried:
+            raise Fault("SERVO_SWITCH_UNTRIED", self._setup.supply_switch)
         self._tick = self._tick_s = math.nan
         self._strange = self._bad = self._doubted = 0
         super().arm(limits)
@@ -276,7 +302,8 @@ class ServoDriver(RegisterDriver[Ask]):
         if self._only_stops:
             with turn_on(self.descriptor, _TURN_S):
                 return super().safe_stop() and self._torque_off()
-        if self._guardian is not None and self._guardian.has_acted:
+        if self._keeper_acted:
+            self.end_words = stopped_by_keeper().detail  # whatever else ends the run: a guard, or Ctrl-C
             # its answers would be taken for ours; the turn is let go at once: if this process stood still, and had it,
             # the keeper would wait
             with turn_on(self.descriptor, _BURST_S):
@@ -305,6 +332,19 @@ class ServoDriver(RegisterDriver[Ask]):
             guardian, self._guardian = self._guardian, None
             guardian.end(restored=restored)
         self._transport.close()
+
+    @property
+    def link_words(self) -> Mapping[str, str]:
+        """Echo and return delay, by topic, in words; once it is open."""
+        setup, delay = self._setup, self._setup.model.role("return_delay")
+        delay_s = delay.scale * (self._store.load(setup.model) or {})[delay.name]
+        echo = "nothing of what rig sends comes back"
+        if self._bus.echoes:
+            echo = "the adapter ties TX to RX: what rig sends comes back, and rig compares it"
+        waits = f"the servo waits {1e6 * delay_s:g} us before it answers, twice in a tick"
+        if delay_s > setup.longest_delay_s:
+            waits += f"; too long here: each run sets 0 and puts it back, two writes of the EEPROM for {delay}"
+        return {"echo": echo, "return delay": waits}
 
     # ------------------------------------------------------------------ opening and arming
 
@@ -344,8 +384,15 @@ class ServoDriver(RegisterDriver[Ask]):
             self._values(self._read_span, self._unhurried_reading())
 
     @override
-    def _check_drive_is_0(self) -> None:
-        check_ready(self._link)
+    def _disarm(self) -> None:
+        self._client.patiently(self._off, self._unhurried_s)
+
+    @override
+    def _switch_on(self) -> None:
+        set_to_0(self._link)
+        self._driven_s = self._transport.now_s()
+        self._check_settings()  # its watchdog, too, is forgotten with the supply
+        switch_on(self._link)
 
     @override
     def _await_armed(self) -> None:
@@ -367,8 +414,11 @@ class ServoDriver(RegisterDriver[Ask]):
 
     @override
     def _write_stop(self, asked: Callable[[Ask, float], Reply], timeout_s: float) -> None:
-        """Duty 0; where the servo takes none, as after its watchdog has acted, torque off first."""
-        if self._only_stops:
+        """Duty 0; where the servo takes none, as after its watchdog has acted, torque off first.
+
+        In another mode, as after its supply has failed, torque off alone: there the write of a duty may switch it on.
+        """
+        if self._only_stops or self._has_forgotten(asked, timeout_s):
             asked(self._off, timeout_s)
             return
         try:
@@ -381,13 +431,21 @@ class ServoDriver(RegisterDriver[Ask]):
             self._write_torque_off(asked, timeout_s)
         self._units = 0
 
+    def _has_forgotten(self, asked: Callable[[Ask, float], Reply], timeout_s: float) -> bool:
+        """Whether it has lost its mode with its supply, as one with a lock does."""
+        model = self._setup.model
+        if "lock" not in model.roles:
+            return False
+        mode = bus_register(model, model.roles["mode"])
+        return mode.unpack(self._cells(asked(self._reading(RegisterSpan((mode,))), timeout_s))) != model.pwm_mode
+
     def _write_torque_off(self, asked: Callable[[Ask, float], Reply], timeout_s: float) -> None:
         watchdog = servo_map(self._setup.model).watchdog
         asked(self._off, timeout_s)
-        if watchdog is not None:
+        if watchdog is not None:  # one that has acted holds a duty, and takes none
             asked(self._setting(watchdog, 0.0), timeout_s)
             self._written = [one for one in self._written if one[0].name != "watchdog"]
-        asked(self._setting(self._map.drive, 0.0), timeout_s)
+            asked(self._setting(self._map.drive, 0.0), timeout_s)
 
     def _cut_off(self) -> bool:
         """Torque off at once, where no duty 0 was confirmed: in another mode it says nothing to a servo."""
@@ -428,7 +486,8 @@ class ServoDriver(RegisterDriver[Ask]):
     def _settle(self) -> None:
         if not self._client.is_suspect:
             return
-        stop = self._off if self._only_stops else self._setting(self._map.drive, 0.0)
+        is_drive_safe = not self._only_stops and "lock" not in self._setup.model.roles  # else it may have lost its mode
+        stop = self._setting(self._map.drive, 0.0) if is_drive_safe else self._off
         self._client.unheard(stop, LATE_TIMEOUTS * self._timeout_s)
 
     # ------------------------------------------------------------------ what the values mean
@@ -516,6 +575,8 @@ class ServoDriver(RegisterDriver[Ask]):
         self._strange = self._strange + 1 if is_strange else 0
         if not is_strange:
             return
+        if self._keeper_acted:
+            raise stopped_by_keeper()
         words = f"{self._map.applied} reads {applied:g}, but {self._units} was written"
         if self._watchdog_has_acted():
             raise Fault("DEVICE_WATCHDOG", words)

@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 from rig.backends.servo.before import BeforeStore, put_back
 from rig.backends.servo.bus import ServoLink
 from rig.backends.servo.guardian import Guardian, beat
-from rig.backends.servo.opening import ServoSetup, check_ready, leave_no_trace, look, set_up
+from rig.backends.servo.opening import ServoSetup, leave_no_trace, look, set_to_0, set_up, switch_on
 from rig.core.faults import Fault
 from rig.core.signals import percent
 
@@ -120,10 +120,8 @@ def facts(
 def _still(link: ServoLink, duty: int, guardian: Guardian | None = None) -> None:
     """Torque on with duty 0, then this one; heard by the keeper where the duty may turn the horn."""
     roles = link.model.roles
-    link.put(roles["drive"], 0)
-    check_ready(link)
-    _lives(link, guardian, 0.0)  # last: what the keeper has just switched off stays off
-    link.put(roles["torque"], 1)
+    set_to_0(link)
+    switch_on(link, lambda: _lives(link, guardian, 0.0))  # last: what the keeper has just switched off stays off
     link.put(roles["drive"], duty)
     _lives(link, guardian, _ACTS_S)
 
@@ -321,15 +319,19 @@ def _p_scale(link: ServoLink) -> Fact:
     if model.protocol == "dynamixel":
         for gain in ("position_i_gain", "position_d_gain"):
             link.put(gain, 0)
-    link.put(most, _P_MOST_STEPS)
-    if (held := link.value(most)) != _P_MOST_STEPS:
-        raise Fault("ARM_READBACK", f"{model[most]}: sent {_P_MOST_STEPS}, stored {held}")
     at = link.value(position)
     low, high = link.value("min_position_limit"), link.value("max_position_limit")
     products, squares = 0.0, 0.0
+
+    def on(one: ServoLink) -> None:
+        one.put(most, _P_MOST_STEPS)
+        if (held := one.value(most)) != _P_MOST_STEPS:
+            raise Fault("ARM_READBACK", f"{model[most]}: sent {_P_MOST_STEPS}, stored {held}")
+        one.put("goal_position", min(max(at, low), high))  # no goal may be beyond; the duty is bounded anyway
+        one.put(roles["torque"], 1)
+
     try:
-        link.put("goal_position", min(max(at, low), high))  # no goal may be beyond; the duty is bounded anyway
-        link.put(roles["torque"], 1)
+        link.in_one_go(on)
         for number in range(-_P_GOALS, _P_GOALS + 1):
             goal = at + number * counts
             if not low <= goal <= high:

@@ -182,9 +182,13 @@ def starter(
 
 
 def stop_orders(link: ServoLink) -> list[Ask]:
-    """Duty 0, then torque off: where a watchdog that has acted takes no duty, the second does it."""
+    """Duty 0, then torque off: where a watchdog that has acted takes no duty, the second does it.
+
+    One with a lock may have lost its mode with its supply: in another one the write of a duty may switch its torque on.
+    """
     roles = link.model.roles
-    return [link.write_of(roles["drive"], 0), link.write_of(roles["torque"], 0)]
+    off = link.write_of(roles["torque"], 0)
+    return [off] if "lock" in roles else [link.write_of(roles["drive"], 0), off]
 
 
 def _orders(link: ServoLink, asks: list[Ask]) -> list[tuple[str, str]]:

@@ -5,7 +5,7 @@ Nothing is written before every check has passed and the values of before are on
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final
 
@@ -14,6 +14,7 @@ from rig.backends.servo.bus import ServoLink
 from rig.backends.servo.models import ServoModel, models_of
 from rig.backends.servo.packets import LAST_ID
 from rig.core.faults import Fault
+from rig.core.person import Asks
 
 _SUPPLY_SHARE: Final = 0.05  # by which the voltage register and drive.supply_V may differ
 _LIMIT_SHARE: Final = 0.03  # that the supply must keep from the servo's own voltage limits
@@ -26,11 +27,12 @@ _TORQUE_AT_START, _RAM_AT_START = 0x01, 0x02  # bits of its startup configuratio
 _ANSWERS_ALL: Final = {"dynamixel": 2, "feetech": 1}  # level at which a servo answers every instruction
 _NO_SHADOW: Final = 253  # from here on there is no second id
 _MANY_TURNS: Final = 0x10  # bit of Feetech's phase
-_PROTECTS: Final = 0x24  # bits of Feetech's unloading condition: overload and heat
+_PROTECTS: Final = 0x24  # bits of what takes the torque away, of both protocols: overload and heat
 _PROOF_STEPS: Final = 3  # of the drive: 0.3 %, far below breakaway
 _PROOF_S: Final = 0.06  # three times the watchdog's time
 _ACTS_S: Final = 0.05  # until the proof's duty shows
 _FASTEST: Final = 255
+_SWITCH_LOOK_S, _SWITCH_LOOKS = 0.1, 3  # that must agree: one answer may be lost
 
 _ERRORS: Final = {
     "dynamixel": {0x01: "supply", 0x04: "heat", 0x08: "encoder", 0x10: "shock", 0x20: "overload"},
@@ -51,6 +53,7 @@ class ServoSetup:
     max_units     largest drive of the experiment, steps
     watchdog_s    silence after which its watchdog acts, s
     longest_delay_s  return delay that a tick has room for, s: one that is not longer stays as it is
+    supply_switch    that must be tried before it drives, in words; empty: none must
     """
 
     model: ServoModel
@@ -63,6 +66,7 @@ class ServoSetup:
     max_units: int
     watchdog_s: float
     longest_delay_s: float = 0.0
+    supply_switch: str = ""
 
 
 @dataclass(frozen=True)
@@ -99,6 +103,7 @@ def look(link: ServoLink, setup: ServoSetup) -> tuple[str, ...]:
     _check_bus(link)
     _check_errors(link)
     _check_setup(link)
+    _check_limit(link, setup)
     _check_supply(link, setup)
     _check_heat(link, setup)
     _check_torque(link)
@@ -116,6 +121,32 @@ def objections(link: ServoLink) -> tuple[str, ...]:
                 raise
             found.append(f"{fault.code}: {fault.detail}")
     return tuple(found)
+
+
+def try_switch(link: ServoLink, setup: ServoSetup, asks: Asks) -> None:
+    """Have a person cut the supply by its switch: the servo must fall silent, or tell that it has none, and come back.
+
+    Raises Fault SERVO_SWITCH_UNTRIED where that is not seen in time, LINK_LOST.
+    """
+    id, voltage = link.bus.id, link.model.role("voltage")
+
+    def seen(is_there: bool) -> Callable[[], bool]:
+        looks = 0
+
+        def is_seen() -> bool:
+            nonlocal looks
+            link.client.wait(_SWITCH_LOOK_S)
+            value = link.value_of(id, voltage.name)
+            has_supply = value is not None and value * voltage.scale > 0.5 * setup.supply_V
+            looks = looks + 1 if has_supply == is_there else 0
+            return looks >= _SWITCH_LOOKS
+
+        return is_seen
+
+    if not asks(f"open the switch of the servo's supply: {setup.supply_switch}", seen(is_there=False)):
+        raise Fault("SERVO_SWITCH_UNTRIED", f"servo {id} answered on: does this switch cut its supply?")
+    if not asks(f"servo {id} has no supply: close the switch again", seen(is_there=True)):
+        raise Fault("SERVO_SWITCH_UNTRIED", f"servo {id} did not come back")
 
 
 def leave_no_trace(link: ServoLink, setup: ServoSetup, store: BeforeStore) -> Left:
@@ -152,7 +183,7 @@ def set_up(
     before = values_of(link)
     store.save(model, setup.id, before)
     watched()
-    torque, drive, mode, limit = (model.roles[role] for role in ("torque", "drive", "mode", "max_drive"))
+    torque, mode, limit = (model.roles[role] for role in ("torque", "mode", "max_drive"))
     link.put(torque, 0)
     if "watchdog" in model.roles:
         link.put(model.roles["watchdog"], 0)  # one that has acted takes no goal
@@ -161,8 +192,7 @@ def set_up(
         link.hold(delay.name, 0)
     link.hold(limit, setup.max_units)  # first: changing the mode sets the goal to it
     link.hold(mode, model.pwm_mode)
-    link.put(drive, 0)
-    check_ready(link)
+    set_to_0(link)
     link.put(torque, 0)
     slope_V_s = _set_slope(link, setup)
     firmware = link.value(model.roles["firmware"])
@@ -216,14 +246,44 @@ def check_one(link: ServoLink) -> None:
         )
 
 
-def check_ready(link: ServoLink) -> None:
-    """The last look before the torque goes on: another duty than 0, or another mode, would drive the shaft at once.
+def set_to_0(link: ServoLink) -> None:
+    """Duty 0, of a servo in PWM mode: in another one the write of a goal may switch the torque on.
 
-    A servo that has lost its supply meanwhile has forgotten either. Raises Fault ARM_READBACK, DEVICE_RESET.
+    Raises Fault ARM_READBACK, DEVICE_RESET, LINK_*.
     """
-    drive = link.model.roles["drive"]
-    if (held := link.value(drive)) != 0:
-        raise Fault("ARM_READBACK", f"{link.model[drive]}: sent 0, stored {held}")
+
+    def write(one: ServoLink) -> None:
+        _check_mode(one)
+        one.put(link.model.roles["drive"], 0)
+        _check_drive_is_0(one)
+
+    link.in_one_go(write)
+
+
+def switch_on(link: ServoLink, last: Callable[[], None] = lambda: None) -> None:
+    """Torque on, right behind a last look: another duty than 0, or another mode, would drive the shaft at once.
+
+    A servo that has lost its supply meanwhile has forgotten either; one that loses it in between is looked at anew.
+
+    last  called when all but the torque is done
+    Raises Fault ARM_READBACK, DEVICE_RESET, LINK_*.
+    """
+
+    def on(one: ServoLink) -> None:
+        _check_mode(one)
+        _check_drive_is_0(one)
+        last()
+        one.put(link.model.roles["torque"], 1)
+
+    link.in_one_go(on)
+
+
+def _check_drive_is_0(link: ServoLink) -> None:
+    if (held := link.value(link.model.roles["drive"])) != 0:
+        raise Fault("ARM_READBACK", f"{link.model.role('drive')}: sent 0, stored {held}")
+
+
+def _check_mode(link: ServoLink) -> None:
     if (words := other_mode(link)) is not None:
         raise Fault("DEVICE_RESET", words)
 
@@ -286,8 +346,8 @@ def _check_setup(link: ServoLink) -> None:
         raise Fault("SERVO_SETUP", f"{model.role('lock')} is 0: what rig writes would stay for good")
     if "phase" in roles and (bits := link.value(roles["phase"])) & _MANY_TURNS:
         raise Fault("SERVO_SETUP", f"{model.role('phase')} reads {bits}: its position counts turns")
-    if "protection" in roles and ~(bits := link.value(roles["protection"])) & _PROTECTS:
-        raise Fault("SERVO_SETUP", f"{model.role('protection')} reads {bits}: it does not protect itself")
+    if ~(bits := link.value(roles["shutdown"])) & _PROTECTS:
+        raise Fault("SERVO_SETUP", f"{model.role('shutdown')} reads {bits}: it does not protect itself")
 
 
 def check_startup(link: ServoLink) -> None:
@@ -297,6 +357,14 @@ def check_startup(link: ServoLink) -> None:
         if bits & (_TORQUE_AT_START | _RAM_AT_START):
             words = f"{link.model.role('startup')} reads {bits}: it can drive as soon as it has supply, or is rebooted"
             raise Fault("SERVO_SETUP", words)
+
+
+def _check_limit(link: ServoLink, setup: ServoSetup) -> None:
+    """Its own limit of the duty is somebody's choice, as of a gripper: it is lowered for a run, and never raised."""
+    limit = link.value(link.model.roles["max_drive"])
+    if limit < setup.max_units:
+        most_V = limit / link.model.full_drive * setup.supply_V
+        raise Fault("SERVO_SETUP", f"{link.model.role('max_drive')} reads {limit}: lower drive.max_V to {most_V:.3g} V")
 
 
 def _check_supply(link: ServoLink, setup: ServoSetup) -> None:
@@ -325,7 +393,8 @@ def _check_others(link: ServoLink, setup: ServoSetup) -> tuple[str, ...]:
 
     One that answers pings alone does not tell it, and obeys in silence.
     """
-    others = [id for id in range(LAST_ID + 1) if id != setup.id and link.is_there(id) is not None]
+    told = {id: link.is_there(id) for id in range(LAST_ID + 1) if id != setup.id}
+    others = {id: int.from_bytes(said[:2], "little") for id, said in told.items() if said is not None}
     shadow = link.model.roles.get("shadow_id")
     for id in others:
         if shadow is not None and (second := link.value_of(id, shadow)) in (None, setup.id):
@@ -333,7 +402,18 @@ def _check_others(link: ServoLink, setup: ServoSetup) -> tuple[str, ...]:
             raise Fault("SERVO_SETUP", f"servo {id} {tells}: it would obey rig, too")
     if not others:
         return ()
-    return (f"also on this bus: servo {', '.join(map(str, others))}; rig leaves them alone",)
+    alike = [id for id, number in others.items() if number == setup.model.number]
+    words = f"also on this bus: servo {_listed(others)}; rig leaves them alone"
+    if alike:
+        words += (
+            f". It drives servo {setup.id}, and {len(alike)} of them, {_listed(alike)}, "
+            f"{'is' if len(alike) == 1 else 'are'} of the same model: only the id tells them apart"
+        )
+    return (words,)
+
+
+def _listed(ids: Iterable[int]) -> str:
+    return ", ".join(map(str, ids))
 
 
 def _set_slope(link: ServoLink, setup: ServoSetup) -> float | None:
@@ -355,8 +435,7 @@ def _prove_watchdog(link: ServoLink) -> tuple[bool, tuple[str, ...]]:
     if "watchdog" not in roles:
         return False, ()
     torque, drive, applied, watchdog = (roles[role] for role in ("torque", "drive", "applied", "watchdog"))
-    check_ready(link)
-    link.put(torque, 1)
+    switch_on(link)
     try:
         link.put(drive, _PROOF_STEPS)
         waited_s = 0.0

@@ -43,6 +43,16 @@ def has_watchdog(servo: Servo) -> bool:
     return "watchdog" in servo.table.roles
 
 
+def needs_switch(d: DeviceSetup, servo: Servo) -> bool:
+    """Whether the switch of its supply alone is certain to stop it, in front of stops."""
+    return servo.attached == "joint" and not _is_proven(d, servo)
+
+
+def _is_proven(d: DeviceSetup, servo: Servo) -> bool:
+    """Whether nothing drives without a watchdog that works."""
+    return has_watchdog(servo) and not d.daq.accept_no_watchdog
+
+
 def _keys(d: DeviceSetup, servo: Servo) -> Iterator[Problem]:
     table, daq = servo.table, d.daq
     if daq.baud not in table.bauds.values():
@@ -90,14 +100,13 @@ def _travel(d: DeviceSetup, servo: Servo) -> Iterator[Problem]:
         )
     if not (low < d.limits.soft_rad[0] and d.limits.soft_rad[1] < high):
         return  # said already
-    is_proven = has_watchdog(servo) and not d.daq.accept_no_watchdog
-    if servo.attached == "joint" and not is_proven and servo.supply_switch is None:
+    if needs_switch(d, servo) and servo.supply_switch is None:
         yield wrong(
             "daq.servo.attached",
             "a joint with stops, and nothing in the servo takes the duty away when the host is silent",
-            "put a switch into the servo's supply, try it, and name it in daq.servo.supply_switch; or free the horn",
+            "put a switch into the servo's supply, and name it in daq.servo.supply_switch; or free the horn",
         )
-    elif servo.attached == "load" and not is_proven:
+    elif servo.attached == "load" and not _is_proven(d, servo):
         yield from full_drive_stays_inside(
             d, _NO_WATCHDOG_S, "and nothing in the servo takes the duty away when the host is silent"
         )

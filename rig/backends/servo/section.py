@@ -29,7 +29,7 @@ class Servo(Section):
         "nothing", description="to the horn: nothing; a load that reaches no stop and no hand; or a joint with stops"
     )
     supply_switch: Annotated[str, Field(min_length=3, max_length=60)] | None = Field(
-        None, description="the switch in the servo's supply, in your words: you have tried it"
+        None, description="the switch in the servo's supply, in your words: rig has you try it"
     )
     adapter: Adapter | None = Field(None, description="between USB and the bus; default: by the port's name")
 

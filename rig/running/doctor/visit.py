@@ -169,6 +169,8 @@ def with_config(experiment: Experiment, run_folder: Path, seconds: float = SECON
                 yield note("device", remark)
             for code in bench.info.acknowledged:
                 yield note("device", since_the_last_run(code))
+            for topic, told in getattr(bench.driver, "link_words", {}).items():
+                yield note(topic, told)
             if adapter is not None:  # only now: opening the port asks an FTDI to wait for 1 ms only
                 yield machine.usb_adapter(port_name, adapter)
             if not isinstance(bench.clock, MonotonicClock):

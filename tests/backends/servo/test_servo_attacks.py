@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from evidence import evidence
 from servo_bench import BYSTANDERS, PROTOCOLS, Bench
 
 from rig.backends.driver import Timeouts
@@ -20,6 +21,7 @@ from rig.backends.servo import keeper as keepers
 from rig.backends.servo.before import BeforeStore, order_of, store_of
 from rig.backends.servo.bus import ServoLink
 from rig.backends.servo.driver import ServoDriver
+from rig.backends.servo.emulated.faults import ReplyFault
 from rig.backends.servo.facts import facts
 from rig.backends.servo.guardian import Guardian
 from rig.backends.servo.scan import reboot, restore
@@ -50,6 +52,94 @@ def test_a_servo_that_restarted_before_it_is_armed_never_gets_its_torque_in_anot
     with pytest.raises(Fault, match="DEVICE_RESET"):
         bench.driver.arm(bench.limits)
     assert not bench.servo.is_on and bench.wrong() == []
+
+
+def restarting_ahead_of(bench: Bench, ahead: Callable[[bytes], bool]) -> list[bytes]:
+    """From now on the servo loses its supply for an instant ahead of the first packet of that kind."""
+    real, restarted = bench.bus.write, list[bytes]()
+
+    def write(data: bytes) -> None:
+        if not restarted and ahead(data):
+            restarted.append(data)
+            bench.bus.power_cycle()
+        real(data)
+
+    bench.bus.write = write  # type: ignore[method-assign]  # of this bus alone
+    return restarted
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize("what", ["the torque", "the look at the goal", "the duty"])
+def test_a_servo_that_restarts_while_it_is_armed_never_gets_its_torque(protocol: str, what: str) -> None:
+    """A request that it did not hear while it started was repeated: full drive, or a way to a goal of its own.
+
+    A Dynamixel has forgotten its watchdog, too.
+    """
+    bench = Bench(protocol, goal_at_boot=0)
+    use_limit_of_config(bench)
+    bench.opened()
+    bus, model = bench.driver._bus, bench.setup.model
+    torque, drive = model.role("torque"), model.role("drive")
+    asks = {
+        "the torque": bus.writing(torque.address, b"\x01", ""),
+        "the look at the goal": bus.reading(drive.address, drive.size, ""),
+        "the duty": bus.writing(drive.address, drive.pack(0), ""),
+    }
+    stood_rad = bench.servo.truth().y_rad
+    restarted = restarting_ahead_of(bench, asks[what].data.__eq__)
+    with pytest.raises(Fault, match=r"DEVICE_RESET|ARM_READBACK"):
+        bench.driver.arm(bench.limits)
+    assert restarted and bench.wrong() == [] and bench.servo.truth().y_rad == stood_rad
+    assert bench.driver.safe_stop() and not bench.servo.is_on
+
+
+@pytest.mark.parametrize("in_pause", [False, True])
+def test_a_write_of_a_duty_never_switches_a_servo_on_that_has_lost_its_mode(in_pause: bool) -> None:
+    """On some servos the write of a goal does: in its own mode it would go to a goal of its own."""
+    bench = Bench("feetech", torque_on_by_goal=True)
+    use_limit_of_config(bench)
+    bench.armed()
+    bench.tick(0.3)
+    if in_pause:
+        assert bench.driver.safe_stop()
+    bench.bus.power_cycle()
+    bench.bus.sleep_until(bench.bus.now_s() + 0.3 * in_pause)
+    with pytest.raises(Fault, match=r"DEVICE_RESET|LINK_TIMEOUT"):
+        bench.driver.arm(bench.limits) if in_pause else bench.driver.read()
+    bench.driver._client.wait(0.3)
+    assert bench.driver.safe_stop() and not bench.servo.is_on and bench.wrong() == []
+    asks = [ask.data for ask in keepers.stop_orders(bench.driver._link)]
+    for data in asks:
+        bench.bus.write(data)
+        bench.driver._client.wait(0.01)
+    assert not bench.servo.is_on and bench.wrong() == []
+
+
+@pytest.mark.parametrize(("protocol", "first"), [
+    *((p, 60) for p in PROTOCOLS), *evidence(*((p, f) for p in PROTOCOLS for f in range(1, 180, 20))),
+])  # fmt: skip
+def test_a_supply_that_fails_ahead_of_any_packet_of_a_run_never_drives(protocol: str, first: int) -> None:
+    for number in range(first, first + 20) if first != 60 else (62,):
+        bench, left = Bench(protocol, torque_on_by_goal=True), number
+        use_limit_of_config(bench)
+
+        def ahead(data: bytes, protocol: str = protocol, number: int = number) -> bool:
+            nonlocal left
+            left -= left < number or data[7 if protocol == "dynamixel" else 4] == 3  # from the first write on
+            return left < 0
+
+        restarting_ahead_of(bench, ahead)
+        with suppress(Fault):
+            bench.armed()
+            for k in range(4):
+                bench.tick(0.4 if k < 2 else -0.4)
+            bench.driver.safe_stop()
+            bench.driver.arm(bench.limits)
+            bench.tick(0.2)
+        bench.driver.safe_stop()
+        bench.driver.close()
+        assert max(abs(volts) for _, volts in bench.bus.outputs[0]) <= 0.41, number
+        assert bench.wrong() == [] and not bench.servo.is_on, number
 
 
 def test_a_servo_that_duty_0_does_not_stop_loses_its_torque_at_once() -> None:
@@ -214,6 +304,29 @@ def test_no_drive_follows_the_stop_of_the_keeper(protocol: str) -> None:
     assert bench.servo.of("drive") == driven != 0
 
 
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize("late", [False, True])
+def test_who_goes_on_after_the_keeper_has_acted_says_so(protocol: str, late: bool) -> None:
+    """The first reading shows its stop; or the bus is only late, three times."""
+    bench = Bench(protocol)
+    watching = Watching(bench)
+    bench.driver._start_guardian = watching
+    bench.armed()
+    bench.tick(1.0)
+    bench.bus.sleep_until(bench.bus.now_s() + 0.02)
+    watching.has_acted = True
+    if late:
+        bench.driver._late_in_a_row = 2
+        bench.bus.bus.reply_fault = ReplyFault("late", by_s=0.02)
+    else:
+        bench.servo._set("torque", 0)
+        bench.bus.sleep_until(bench.bus.now_s() + 0.002)
+    with pytest.raises(Fault, match=r"DEVICE_WATCHDOG.*keeper"):
+        bench.driver.read()
+    bench.bus.bus.reply_fault = None
+    assert bench.driver.safe_stop() and "keeper" in bench.driver.end_words
+
+
 def test_a_servo_that_does_not_answer_is_no_silence_of_rig(monkeypatch: pytest.MonkeyPatch) -> None:
     """The keeper would act while rig waits, and rig would end with that, not with the cable that is out."""
     bench = Bench()
@@ -284,7 +397,7 @@ def test_facts_switch_no_torque_on_after_the_stop_of_the_keeper(protocol: str, m
     def stands_still(link: ServoLink) -> None:
         watching.has_acted = True
 
-    monkeypatch.setattr(tried, "check_ready", stands_still)
+    monkeypatch.setattr("rig.backends.servo.opening.other_mode", stands_still)
     with pytest.raises(Fault, match="DEVICE_WATCHDOG"):
         tried._still(bench.driver._link, 100, watching)
     assert not bench.servo.is_on

@@ -39,6 +39,10 @@ def container(tmp_path: Path, *line: Told) -> tuple[int, Path]:
     (("sh", 1), ("rig run", 1)),  # its commands on standard input
     (("make all", 1), ("sh -c rig$run", 1), ("timeout 60 rig", GROUP), ("rig run", GROUP)),
     (("tini -- sudo rig", 1), ("sudo rig", 7), ("rig run", 8)),
+    (("sh -c cd$x&&rig$run", 1), ("su - u -c rig$run", 1), ("rig run", 8)),  # su gives its command a session
+    (("bash -eo pipefail -c rig$run", 1), ("rig run", GROUP)),
+    (("bash --rcfile x -o vi go.sh", 1), ("rig run", GROUP)),
+    (("busybox sh -c rig$run", 1), ("rig run", GROUP)),
 ])  # fmt: skip
 def test_a_container_that_lives_for_rig_is_told_by_its_first_process(line: tuple[Told, ...], tmp_path: Path) -> None:
     assert first_that_ends_with(*container(tmp_path, *line)) == line[0][0]
@@ -47,6 +51,10 @@ def test_a_container_that_lives_for_rig_is_told_by_its_first_process(line: tuple
 @pytest.mark.parametrize("line", [
     (("bash", 1), ("rig run", GROUP)),  # docker run -it IMAGE bash
     (("-bash -l --norc", 1), ("sh -c rig", GROUP), ("rig run", GROUP)),
+    (("bash --rcfile env.sh", 1), ("rig run", GROUP)),
+    (("bash -O extglob -eo vi", 1), ("rig run", GROUP)),
+    (("busybox sh", 1), ("rig run", GROUP)),
+    (("sleep inf", 1), ("su - u -c rig$run", 7), ("rig run", 8)),
     (("/sbin/init", 1), ("sshd", 7), ("-bash", 8), ("rig run", GROUP)),
     (("tini -- jupyter lab", 1), ("jupyter lab", 7), ("python kernel", GROUP)),
 ])  # fmt: skip

@@ -33,6 +33,9 @@ REFUSED: list[tuple[str, str, dict[str, int], str, str]] = [
     ("dynamixel", "no answer to a write", {"status_return_level": 1}, "SERVO_SETUP", "does not answer"),
     ("feetech", "no answer to a write", {"response_level": 0}, "SERVO_SETUP", "does not answer"),
     ("feetech", "its position counts turns", {"phase": 0x10 | 0x0C}, "SERVO_SETUP", "counts turns"),
+    ("dynamixel", "no protection from overload", {"shutdown": 0x14}, "SERVO_SETUP", "does not protect"),
+    ("dynamixel", "its owner allows less duty", {"pwm_limit": 200}, "SERVO_SETUP", "lower drive.max_V to 1.13 V"),
+    ("feetech", "its owner allows no duty", {"torque_limit": 0}, "SERVO_SETUP", "lower drive.max_V to 0 V"),
     ("feetech", "no protection from overload", {"unloading_condition": 0x04}, "SERVO_SETUP", "does not protect"),
     ("feetech", "no protection from heat", {"unloading_condition": 0x20}, "SERVO_SETUP", "does not protect"),
 ]
@@ -133,10 +136,11 @@ def test_bytes_that_nobody_asked_for_are_those_of_another_master(protocol: str) 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_opening_tells_who_is_there_and_what_it_changes(protocol: str) -> None:
     bench = Bench(protocol)
+    bench.bystanders[0].put("model_number", 9)
     info = bench.opened()
     told = " ".join(info.remarks)
     assert info.board == bench.setup.model.name and info.drive_units == bench.setup.model.full_drive
-    assert all(str(id) in told for id in BYSTANDERS)
+    assert "also on this bus: servo 4, 7" in told and "drives servo 1, and 1 of them, 7, is of the same model" in told
     assert bench.setup.model.roles["mode"] in told
     assert abs(info.supply_V - bench.setup.supply_V) <= 0.06
     assert not bench.servo.is_on and bench.servo.of("drive") == 0

@@ -121,6 +121,9 @@ def test_a_return_delay_that_the_tick_has_no_room_for_is_set_to_0() -> None:
     servo = servo_of(e.device)
     assert longest_return_delay_s(e.daq, servo, 0.010) > 0.5e-3 > longest_return_delay_s(e.daq, servo, 0.002)
     assert longest_return_delay_s(e.daq, servo, 0.0005) == 0.0
+    bench = Bench(setup={"longest_delay_s": 0.0})
+    bench.opened()
+    assert "each run sets 0" in bench.driver.link_words["return delay"]
 
 
 def killed_at(protocol: str, step: int, tmp_path: Path) -> bool:

@@ -10,6 +10,7 @@ import pytest
 from evidence import evidence
 from servo_bench import BYSTANDERS, PROTOCOLS, Bench, addressed
 
+from rig.backends.servo.driver import ServoDriver
 from rig.control.loop.runner import Loop
 from rig.running import session
 from rig.running.experiment.script import run
@@ -49,3 +50,14 @@ def test_after_any_end_all_is_as_it_was_and_no_other_servo_was_touched(
     assert all(not servo.is_on and servo.truth().duty == 0.0 for servo in bench.bystanders)
     seen = addressed(bench.bus.bus)  # of the others rig reads an id, once each
     assert {id: seen[id] for id in BYSTANDERS} == dict.fromkeys(BYSTANDERS, 1)
+
+
+def test_the_end_of_a_run_says_that_the_keeper_has_acted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever else ended it."""
+    monkeypatch.setattr(Loop, "_fresh_reading", fails)
+    monkeypatch.setattr(ServoDriver, "_keeper_acted", property(lambda _: True))
+    bench = Bench()
+    with on_device(bench.bus):
+        outcome = run(bench.e, tmp_path)
+    assert outcome.fault is not None and outcome.fault.code == "INTERNAL"
+    assert any("keeper" in note for note in outcome.result.notes or ())

@@ -374,8 +374,12 @@ class EmulatedServo:
         self._act(0.0, is_braking=False)
 
     def power_cycle(self) -> None:
-        """Its supply fails for a moment."""
+        """Its supply fails for a moment, or comes back."""
         self._begin(self.t_s)
+
+    def power_off(self) -> None:
+        """Its supply fails, until ``power_cycle``."""
+        self._begin(math.inf)
 
     def _taken(self) -> tuple[int, bytes] | None:
         """What was registered, which is done now; None: nothing."""

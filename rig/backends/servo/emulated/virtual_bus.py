@@ -49,6 +49,11 @@ class VirtualServoBus(WireInVirtualTime):
         return self.bus.servo(id).truth()
 
     def power_cycle(self) -> None:
-        """The supply of all fails for a moment."""
+        """The supply of all fails for a moment, or comes back."""
         for servo in self.bus.servos:
             servo.power_cycle()
+
+    def power_off(self) -> None:
+        """The supply of all fails, until ``power_cycle``."""
+        for servo in self.bus.servos:
+            servo.power_off()

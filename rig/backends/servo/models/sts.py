@@ -43,7 +43,6 @@ ROLES: Mapping[str, str] = {
     "errors": "status",
     "lock": "lock",
     "phase": "phase",
-    "protection": "unloading_condition",
     "protective_torque": "protective_torque",
     "protection_time": "protection_time",
     "overload_torque": "overload_torque",

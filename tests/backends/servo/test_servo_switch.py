@@ -1,0 +1,101 @@
+"""A joint that no watchdog stops is driven only after the switch of its supply was seen to cut it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from servo_bench import PROTOCOLS, Bench
+from test_servo_opening import writes
+
+from rig.backends.servo.line import setup_of
+from rig.core import person
+from rig.core.faults import Fault
+
+SWITCH = {"supply_switch": "the red one"}
+
+
+class Hand:
+    """Does what it is asked for, unless it ``forgets`` that word; in virtual time it has 20 looks."""
+
+    def __init__(self, bench: Bench, forgets: str = "nothing") -> None:
+        self.bench, self.forgets = bench, forgets
+        self.asked: list[str] = []
+
+    def __call__(self, words: str, is_seen: Callable[[], bool]) -> bool:
+        assert writes(self.bench) == []
+        self.asked.append(words)
+        if self.forgets not in words:
+            self.bench.bus.power_off() if "open" in words else self.bench.bus.power_cycle()
+        return any(is_seen() for _ in range(20))
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_the_switch_is_opened_and_closed_before_anything_is_written(
+    protocol: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(protocol, setup=SWITCH)
+    before, hand = bench.registers(), Hand(bench)
+    monkeypatch.setattr(person, "asks", hand)
+    bench.armed()
+    bench.tick(0.3)
+    assert ["the red one" in words for words in hand.asked] == [True, False]
+    bench.driver.safe_stop()
+    bench.driver.arm(bench.limits)  # once for all armings of a command
+    bench.driver.safe_stop()
+    bench.driver.close()
+    assert len(hand.asked) == 2 and bench.wrong() == [] and not bench.servo.is_on
+    assert {name for name, value in bench.registers().items() if before[name] != value} <= {"goal_pwm"}
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize("forgets", ["open", "close"])
+def test_a_switch_that_cuts_nothing_or_stays_open_ends_it(
+    forgets: str, protocol: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(protocol, setup=SWITCH)
+    monkeypatch.setattr(person, "asks", Hand(bench, forgets))
+    with pytest.raises(Fault, match="SERVO_SWITCH_UNTRIED"):
+        bench.opened()
+    bench.driver.safe_stop()
+    bench.driver.close()
+    assert writes(bench) == []
+
+
+def test_a_supply_that_is_as_good_as_gone_counts_as_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where the adapter feeds the servo's chip."""
+    bench = Bench("feetech", setup=SWITCH)
+    supply_V = bench.setup.supply_V
+
+    def hand(words: str, is_seen: Callable[[], bool]) -> bool:
+        bench.servo.supply(0.3 * supply_V if "open" in words else supply_V)
+        return any(is_seen() for _ in range(20))
+
+    monkeypatch.setattr(person, "asks", hand)
+    bench.armed()
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_where_nobody_can_be_asked_it_opens_and_does_not_arm(protocol: str) -> None:
+    """As an encoder's board without travel limits: `rig doctor` reads it."""
+    bench = Bench(protocol, setup=SWITCH)
+    bench.opened()
+    with pytest.raises(Fault, match="SERVO_SWITCH_UNTRIED"):
+        bench.driver.arm(bench.limits)
+    assert not bench.servo.is_on and bench.servo.truth().duty == 0.0
+    bench.driver.close()
+
+
+@pytest.mark.parametrize(("protocol", "port", "attached", "accepts", "needed"), [
+    ("feetech", "/dev/ttyACM0", "joint", True, True),
+    ("feetech", "/dev/ttyACM0", "load", True, False),
+    ("feetech", "emulated", "joint", True, False),
+    ("dynamixel", "/dev/ttyUSB0", "joint", True, True),
+    ("dynamixel", "/dev/ttyUSB0", "joint", False, False),  # its watchdog works, or nothing drives
+])  # fmt: skip
+def test_who_must_try_it(protocol: str, port: str, attached: str, accepts: bool, needed: bool) -> None:
+    e = Bench(protocol).e
+    assert e.daq.servo is not None
+    servo = e.daq.servo.model_copy(update={"attached": attached, "supply_switch": "the red one"})
+    daq = e.daq.model_copy(update={"port": port, "accept_no_watchdog": accepts, "servo": servo})
+    assert bool(setup_of(e.model_copy(update={"daq": daq}).device).supply_switch) == needed
