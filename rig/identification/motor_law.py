@@ -19,7 +19,7 @@ from rig.identification.departures import DEPARTURES, OUTSIDE
 from rig.identification.departures.blocks import Blocks, HeldOut, held_out
 from rig.identification.departures.budget import COVERAGE, OTHER, Budget, Entry, budget
 from rig.identification.departures.choice import AT_NOISE, Choice, Chooser, as_likely, levels
-from rig.identification.departures.coupled import coupling_of, takes_enough
+from rig.identification.departures.coupled import coupling_of, lag_line, takes_enough
 from rig.identification.departures.departure import Departure
 from rig.identification.departures.fit import CORE, DELAY, POSITIVE, Fit, Known, solve, sums_of_pieces, unit
 from rig.identification.departures.fit import start as begin
@@ -500,6 +500,7 @@ def motor_law(
     nuisances = Nuisances.of(parts, choice.laws, hidden, bench, seen, blocks.cut.longest_s)
     bare = bare_fits(parts, choice.laws, begun.chooser)
     coupled = fit.problem.cut.coupling
+    of_lag = () if coupled is None else (lag_line(coupled),)
     others = [*bare.values(), stiff.fit] if stiff is not None and coupled else bare.values()
     like: tuple[Entry, ...] = ()
     if len(choice.laws) >= MANY_LAWS or not begun.chooser.is_rounding(parts):
@@ -520,7 +521,7 @@ def motor_law(
         instead,
         scales,
         scatter * of_model.of_each,
-        (*of_model.lines, *like, *bends, *of_one_size(parts), *at_rests, *of_levels),
+        (*of_model.lines, *like, *bends, *of_one_size(parts), *at_rests, *of_levels, *of_lag),
     )
     holds = _holds(whole, turns_both="bias_V" in begun.chooser.core)
     bounded = tuple(_at_bounds(fit, choice.laws))

@@ -875,13 +875,19 @@ def behind_a_coupling(motor: RealMotor, rad_s: float, *, rows: int = 800) -> Rec
 
 
 @pytest.mark.evidence
-def test_a_soft_coupling_is_named_and_taken_out_of_the_numbers() -> None:
-    motor, rad_s = RealMotor(0.2, 10.0, 0.2), 2.0 * math.pi * 9.0
+@pytest.mark.parametrize(
+    ("tau_s", "hertz", "off"), [(0.2, 9.0, 0.05), (0.1, 9.0, 0.05), (0.2, 13.0, 0.05), (0.06, 13.0, 0.1)]
+)
+def test_a_soft_coupling_is_named_and_taken_out_of_the_numbers(tau_s: float, hertz: float, off: float) -> None:
+    motor, rad_s = RealMotor(tau_s, 10.0, 0.2), 2.0 * math.pi * hertz
     answer = answered(behind_a_coupling(motor, rad_s))
     assert answer.law is not None and "soft_coupling" in [law.name for law in answer.law]
     size = next(law.value for law in answer.law if law.name == "soft_coupling")
     assert size is not None and float(size) == pytest.approx(rad_s**-2, rel=0.1)
-    assert right(answer, motor, 0.05, "tau_s", "K_rad_s_V", "fc_V")
+    assert right(answer, motor, off, "tau_s") and right(answer, motor, 0.05, "K_rad_s_V")
+    assert answer.u95 is not None
+    for name in ("tau_s", "K_rad_s_V", "fc_V"):
+        assert abs(float(answer.value(name) or 0.0) - getattr(motor, name)) <= (answer.u95[name] or 0.0)
 
 
 @pytest.mark.parametrize("of", [("a", "b"), ("a", "a")])

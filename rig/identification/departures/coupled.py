@@ -1,8 +1,10 @@
 """Whether the tests were read behind a soft coupling, and how fast it swings.
 
-The motor's model has none: the reading is filtered behind the model (``Cut.coupling_rad_s``), which is exact where the
-friction is the motor's and viscous friction small. It is looked for where a fit with its laws leaves more than noise,
-and it counts as any law does: by the share of the error in blocks that it takes away.
+The motor's model has none: the reading is filtered behind the model (``Cut.coupling``), which is exact where the
+friction is the motor's and its back-EMF small. That damps the swing of a load, m of the whole mass, by a ratio of
+m / (2 (1 - m) tau w). So the damping is looked for with the frequency, and what it lets lag counts as unsure in tau. A
+coupling is looked for where a fit with its laws leaves more than noise, and it counts as any law does: by the share of
+the error in blocks that it takes away.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identification.departures.blocks import Blocks, share_cut
+from rig.identification.departures.budget import Entry
 from rig.identification.departures.choice import LAW_BLOCK, Choice, Chooser, Columns
 from rig.identification.departures.fit import solve
 from rig.identification.departures.fit import start as begin
@@ -59,6 +62,11 @@ def coupling_of(choice: Choice, whole: Cut, chooser: Chooser) -> Coupling | None
     best = best._replace(rad_s=math.exp(fine))
     damping, left = lowest(lambda x: cost(best._replace(damping=x)), *DAMPED, FINER)
     return best._replace(damping=damping) if left < needed else None
+
+
+def lag_line(coupling: Coupling) -> Entry:
+    """The budget's line for the lag of the swing, 2 z / w: what of it is the motor's own belongs to tau."""
+    return Entry("lag of the soft coupling", 2.0 * coupling.damping / coupling.rad_s, 0.0, 0.0)
 
 
 def takes_enough(stiff: Choice, soft: Choice, whole: Cut, chooser: Chooser) -> bool:
