@@ -221,7 +221,9 @@ main()
         capture_output=True, text=True, check=True, cwd=ROOT,
     )  # fmt: skip
     said = [re.fullmatch(r" +[0-9]+\.[0-9] s  (.*)", line) for line in done.stderr.splitlines()]
-    assert [line[1] for line in said if line] == ["breakaway", "relay-1", "identify"]
+    stages = [line[1] for line in said if line]
+    assert stages[:3] == ["breakaway", "relay-1", "identify"]
+    assert stages[3:] in ([], ["report"])  # said where it takes seconds, as on a busy machine
     assert all(said), done.stderr
     [relay] = (tmp_path / "runs").glob("*-relay-quick")
     assert rig("jog", path, "--u-V", "0.8", "--out", tmp_path / "runs").exit_code == 0
