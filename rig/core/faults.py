@@ -179,9 +179,9 @@ FAULTS: dict[str, FaultEntry] = {
         "end the program that drives it, or switch its torque off there; then type `rig run CONFIG` again",
     ),
     "SERVO_SETUP": FaultEntry(
-        "the servo is set so that it could move unasked, or would not answer",
-        "change the register that is named here with the maker's program (DYNAMIXEL Wizard, FD), then type `rig run "
-        "CONFIG` again",
+        "a register of the servo is set so that rig must not drive it",
+        "change the register that is named here with the maker's program (DYNAMIXEL Wizard, FD), or do what is said of "
+        "it, then type `rig run CONFIG` again",
     ),
     "SERVO_ERROR": FaultEntry(
         "the servo has an error of its hardware",
@@ -214,7 +214,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "SERVO_SWITCH_UNTRIED": FaultEntry(
         "a joint that no watchdog stops is driven only after the switch of its supply has been tried",
-        "type the command in a terminal, without --json: rig asks you to open the switch, and to close it again",
+        "type the command in a terminal, without --json: rig asks you to open the switch, and then to close it again. "
+        "Do each within a minute",
     ),
     # guard
     "TRAVEL_HARD": FaultEntry(

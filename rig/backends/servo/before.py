@@ -37,7 +37,7 @@ _TRIED_ON_FEETECH: Final = ("position_p_gain", "protective_torque", "protection_
 # In the order in which they are put back: the mode after the limit, because changing it sets the goal to the limit
 _CHANGED: Final = {
     "dynamixel": ("pwm_slope", "pwm_limit", "return_delay_time", "operating_mode", "goal_pwm", *_RESET_BY_MODE),
-    "feetech": ("return_delay_time", "torque_limit", *_TRIED_ON_FEETECH, "mode"),
+    "feetech": ("return_delay_time", "torque_limit", *_TRIED_ON_FEETECH, "mode", "goal_duty"),
 }
 
 
@@ -136,9 +136,11 @@ def values_of(link: ServoLink) -> dict[str, int]:
     model = link.model
     names = [name for name in _CHANGED[model.protocol] if model.has(name)]
     values = link.values(tuple(names))
-    kept = dict(values)
-    if "goal_pwm" in kept and values[model.roles["mode"]] == model.pwm_mode:
-        kept["goal_pwm"] = 0  # there it is the duty: whoever switches the torque on next must not find rig's
+    kept, drive = dict(values), model.roles["drive"]
+    if values[model.roles["mode"]] == model.pwm_mode:
+        kept[drive] = 0  # there it is the duty: whoever switches the torque on next must not find rig's
+    elif "lock" in model.roles:
+        del kept[drive]  # in another mode its write may switch the torque on
     return kept
 
 

@@ -264,6 +264,8 @@ class ServoDriver(RegisterDriver[Ask]):
         now_s, units, counts = self._transport.now_s(), self._units, values["position"] - setup.zero_counts
         applied = values["applied"]
         try:
+            if values.get("torque", 1) != 1:
+                self._check_torque()
             if self._steady_s <= now_s + STEP_S and abs(applied - units) <= _STEPS_OFF:
                 self._strange = 0
             else:
@@ -567,6 +569,14 @@ class ServoDriver(RegisterDriver[Ask]):
             words = f"{control} is on, although rig switched it off"
             raise Fault("SECOND_MASTER" if self._is_off else "STOP_UNCONFIRMED", words)
         self._check_health(values)
+
+    def _check_torque(self) -> None:
+        """A servo whose torque is off has restarted. One with a lock has lost its mode, too: no duty may follow."""
+        if self._link.value(self._setup.model.roles["torque"]) != 0:
+            return  # that reading was damaged
+        if self._keeper_acted:
+            raise stopped_by_keeper()
+        raise Fault("DEVICE_RESET", f"{self._map.control} reads 0: its torque is off")
 
     def _check_duty(self, applied: float) -> None:
         """A servo that drives otherwise than it was told has restarted, protects itself, or has another master."""

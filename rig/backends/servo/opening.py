@@ -5,6 +5,7 @@ Nothing is written before every check has passed and the values of before are on
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final
@@ -363,8 +364,11 @@ def _check_limit(link: ServoLink, setup: ServoSetup) -> None:
     """Its own limit of the duty is somebody's choice, as of a gripper: it is lowered for a run, and never raised."""
     limit = link.value(link.model.roles["max_drive"])
     if limit < setup.max_units:
-        most_V = limit / link.model.full_drive * setup.supply_V
-        raise Fault("SERVO_SETUP", f"{link.model.role('max_drive')} reads {limit}: lower drive.max_V to {most_V:.3g} V")
+        most_V = (
+            math.floor(1e3 * limit / link.model.full_drive * setup.supply_V) / 1e3
+        )  # rounded up it would be refused
+        words = f"reads {limit}: it allows {most_V:g} V; lower drive.max_V, or raise it"
+        raise Fault("SERVO_SETUP", f"{link.model.role('max_drive')} {words}")
 
 
 def _check_supply(link: ServoLink, setup: ServoSetup) -> None:

@@ -41,7 +41,8 @@ def servo_map(model: ServoModel, zero_counts: int = 2048) -> ServoMap:
 
     others = ["voltage", "temperature", "tick"]
     if model.protocol == "feetech":
-        others.append("errors")  # with Dynamixel the alert in each reply tells of them
+        # with Dynamixel the alert in each reply tells of errors, and a torque that is off does no harm
+        others += ["errors", "torque"]
     return ServoMap(
         drive=role("drive"),
         position=role("position"),

@@ -115,6 +115,23 @@ def test_a_write_of_a_duty_never_switches_a_servo_on_that_has_lost_its_mode(in_p
     assert not bench.servo.is_on and bench.wrong() == []
 
 
+@pytest.mark.parametrize("u_V", [0.0, 0.3])
+def test_a_servo_that_restarts_within_one_period_gets_no_duty_any_more(
+    u_V: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At duty 0 a reading of the duty tells nothing of it, and at another one the first reading is not believed."""
+    monkeypatch.setattr("rig.backends.servo.emulated.servo._BOOT_S", 0.004)
+    bench = Bench("feetech", torque_on_by_goal=True)
+    use_limit_of_config(bench)
+    bench.armed()
+    bench.tick(u_V)
+    bench.bus.power_cycle()
+    bench.bus.sleep_until(bench.bus.now_s() + 0.006)
+    fault = bench.fault_within(2, 0.3)
+    assert fault is not None and fault.code == "DEVICE_RESET" and bench.wrong() == []
+    assert bench.driver.safe_stop() and not bench.servo.is_on
+
+
 @pytest.mark.parametrize(("protocol", "first"), [
     *((p, 60) for p in PROTOCOLS), *evidence(*((p, f) for p in PROTOCOLS for f in range(1, 180, 20))),
 ])  # fmt: skip
@@ -473,16 +490,17 @@ def test_a_servo_that_somebody_has_taken_over_since_keeps_its_torque(
     assert bench.servo.is_on and bench.store.load(link.model)
 
 
-def test_a_servo_that_was_in_pwm_mode_is_left_without_rigs_duty() -> None:
-    """Also by its keeper, where the servo took no duty 0 since its watchdog had acted."""
-    bench = Bench("dynamixel")
-    bench.servo.put("operating_mode", 16)
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_servo_that_was_in_pwm_mode_is_left_without_rigs_duty(protocol: str) -> None:
+    """Also by its keeper, where the servo took no duty 0 since its watchdog had acted, or where none is written."""
+    bench = Bench(protocol, goal_at_boot=0)
+    bench.servo._set("mode", bench.setup.model.pwm_mode)
     bench.armed()
     bench.tick(0.3)
     link, values = bench.driver._link, bench.store.load(bench.setup.model) or {}
     for ask in order_of(link, values):
         link.client.asked(ask, 0.1)
-    assert bench.servo.value("goal_pwm") == 0 and not bench.servo.is_on
+    assert bench.servo.of("drive") == 0 and not bench.servo.is_on
 
 
 def test_goals_that_a_mode_change_resets_are_put_back() -> None:

@@ -34,8 +34,14 @@ REFUSED: list[tuple[str, str, dict[str, int], str, str]] = [
     ("feetech", "no answer to a write", {"response_level": 0}, "SERVO_SETUP", "does not answer"),
     ("feetech", "its position counts turns", {"phase": 0x10 | 0x0C}, "SERVO_SETUP", "counts turns"),
     ("dynamixel", "no protection from overload", {"shutdown": 0x14}, "SERVO_SETUP", "does not protect"),
-    ("dynamixel", "its owner allows less duty", {"pwm_limit": 200}, "SERVO_SETUP", "lower drive.max_V to 1.13 V"),
-    ("feetech", "its owner allows no duty", {"torque_limit": 0}, "SERVO_SETUP", "lower drive.max_V to 0 V"),
+    ("dynamixel", "its owner allows less duty", {"pwm_limit": 201}, "SERVO_SETUP", "allows 1.135 V; lower"),
+    (
+        "feetech",
+        "its owner allows no duty",
+        {"torque_limit": 0},
+        "SERVO_SETUP",
+        "allows 0 V; lower drive.max_V, or raise",
+    ),
     ("feetech", "no protection from overload", {"unloading_condition": 0x04}, "SERVO_SETUP", "does not protect"),
     ("feetech", "no protection from heat", {"unloading_condition": 0x20}, "SERVO_SETUP", "does not protect"),
 ]
