@@ -148,6 +148,24 @@ def test_a_log_with_decimal_commas_between_commas_is_refused_with_a_command_that
     assert whole(read(tmp_path / "plain.csv"))
 
 
+def test_a_second_table_with_other_names_is_refused_and_no_restart_is_one(tmp_path: Path) -> None:
+    """Its rows would be read under the first one's names."""
+    path, rows = tmp_path / "log.csv", log("t_s,u_V,y_rad").splitlines()
+    for names in ("t_s,y_rad,u_V", "t_s,u_V,y_deg"):
+        path.write_text("\n".join([*rows[:15], names, *rows[15:], ""]))
+        with pytest.raises(RecordingError, match=r"csv:16: .*other columns than line 1"):
+            read(path)
+    path.write_text("\n".join([*rows[:15], "boot", rows[0], *rows[15:], ""]))
+    assert whole(read(path))
+
+
+def test_labels_may_change_their_order(tmp_path: Path) -> None:
+    rows = log("", row="t_s:{t:.2f},u_V:{u},y_rad:{y:.4f}").splitlines()
+    rows[5::3] = [",".join(reversed(row.split(","))) for row in rows[5::3]]
+    (tmp_path / "log.csv").write_text("\n".join([*rows, ""]))
+    assert whole(read(tmp_path / "log.csv"))
+
+
 LONG: Final = 10 * log("t_s,u_V,y_rad").splitlines()[1:]
 LONG[:] = [f"{0.01 * k:.2f}{row[4:]}" for k, row in enumerate(LONG)]
 
