@@ -239,3 +239,11 @@ def test_units_that_a_name_says() -> None:
         ("Winkel [°]", "position", {"deg"}),
     ):
         assert units_said(name, quantity) == units, name
+
+
+def test_a_servos_log_whose_positions_are_rarer_is_refused_for_they_make_its_drive(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("t,goal,pos\n" + "".join(f"{0.01 * k:.2f},1.0,{'' if k % 2 else 0.01 * k}\n" for k in range(40)))
+    options = "--servo xl330-m288 --gain 400 --goal goal:rad --position pos:rad --time t:s --supply-V 5"
+    result = CliRunner().invoke(reading, [str(path), *options.split()])
+    assert isinstance(result.exception, RecordingError) and ":3: the position is empty" in str(result.exception)

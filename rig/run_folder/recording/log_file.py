@@ -150,6 +150,9 @@ def _of_servo(
     assert log.servo is not None
     if log.servo.P is None:
         raise RecordingError(source, "does not say the servo's gain P", "give what its register held: --gain P")
+    if not np.isfinite(raw["y_rad"]).all():
+        line = rows[int(np.argmax(~np.isfinite(raw["y_rad"])))]
+        raise RecordingError(source, "the position is empty: it makes the drive", "keep the rows that have one", line)
     notes, law, choices = list(notes), replace(log.servo, goal_first=log.drive_row < 0), log.columns()
     t_s = _times_s(raw, log, notes)
     require_rising(source, t_s, rows)
