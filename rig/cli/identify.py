@@ -16,7 +16,9 @@ from rig.core.estimators import ESTIMATORS
 from rig.run_folder.recording.errors import CannotWriteError, RecordingError
 from rig.run_folder.recording.log_format import LogFormat
 from rig.run_folder.results.meta import REHEARSAL
-from rig.terminal import MOST_NOTES, patience, show_answer, show_details
+from rig.terminal import patience, show_answer, show_details
+
+_MOST_NOTES = 20  # on what was read: what a reader of logs changes or leaves out is told
 
 if TYPE_CHECKING:  # it loads slowly
     from rig.identification import Identification
@@ -115,9 +117,9 @@ def identify(
         click.echo(REHEARSAL)
     if not verbose:
         notes = [f"{recording.source.name}: {note}" for recording in recordings for note in recording.notes]
-        for note in (*notes[:MOST_NOTES], *found.changes):
+        for note in (*notes[:_MOST_NOTES], *found.changes):
             click.echo(note)
-        if (more := len(notes) - MOST_NOTES) > 0:
+        if (more := len(notes) - _MOST_NOTES) > 0:
             click.echo(f"{more} more note{'s' if more > 1 else ''} on what was read")
     show_answer(result.answer)
     if verbose:

@@ -19,7 +19,7 @@ from rig.identification.departures import DEPARTURES, OUTSIDE
 from rig.identification.departures.blocks import Blocks, HeldOut, held_out
 from rig.identification.departures.budget import COVERAGE, OTHER, Budget, Entry, budget
 from rig.identification.departures.choice import AT_NOISE, Choice, Chooser, as_likely, levels
-from rig.identification.departures.coupled import coupling_of, lag_line, takes_enough
+from rig.identification.departures.coupled import coupling_of, damped_at_bound, lag_line, takes_enough
 from rig.identification.departures.departure import Departure
 from rig.identification.departures.fit import CORE, DELAY, POSITIVE, Fit, Known, solve, sums_of_pieces, unit
 from rig.identification.departures.fit import start as begin
@@ -524,7 +524,7 @@ def motor_law(
         (*of_model.lines, *like, *bends, *of_one_size(parts), *at_rests, *of_levels, *of_lag),
     )
     holds = _holds(whole, turns_both="bias_V" in begun.chooser.core)
-    bounded = tuple(_at_bounds(fit, choice.laws))
+    bounded = (*_at_bounds(fit, choice.laws), *(() if coupled is None else damped_at_bound(coupled)))
     free_run = _free_run(fit, whole)
     length_s = whole.longest_s
     growth = (*(one for one in choice.growth if one[0] < length_s), (length_s, free_run.rms_rad))

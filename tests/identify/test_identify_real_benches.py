@@ -15,12 +15,13 @@ from rig.identification.clipped_drive import clipped_at_V
 from rig.identification.departures import DEPARTURES
 from rig.identification.departures.blocks import Blocks, HeldOut, held_out, share_cut
 from rig.identification.departures.choice import Chooser, Columns, levels
+from rig.identification.departures.coupled import damped_at_bound
 from rig.identification.departures.departure import Bench
 from rig.identification.departures.fit import CORE, Fit, Problem, Rows, limits_of, solve, start
 from rig.identification.departures.laws import orders
 from rig.identification.departures.nuisances import pulls_apart
 from rig.identification.departures.outside import by_current, by_friction_waves, outside
-from rig.identification.departures.pieces import Cut
+from rig.identification.departures.pieces import Coupling, Cut
 from rig.identification.estimate import Estimate
 from rig.identification.identification import Identification
 from rig.identification.in_pieces import fit_in_pieces
@@ -872,6 +873,12 @@ def behind_a_coupling(motor: RealMotor, rad_s: float, *, rows: int = 800) -> Rec
             load_v += h * (1.0 - share) * twist
             load_y += h * load_v
     return t_s, u_V, STEP_RAD * np.floor(y_rad / STEP_RAD + 0.5)
+
+
+def test_a_soft_coupling_damped_at_its_bound_is_never_ok() -> None:
+    """A load damped by 0.9 of its critical damping was: tau of 1 s came out 0.8 % off, damping 0.595."""
+    assert damped_at_bound(Coupling(60.0, 0.597))[0].startswith("the damping of the soft coupling is at its bound, 0.6")
+    assert not damped_at_bound(Coupling(60.0, 0.5))
 
 
 @pytest.mark.evidence

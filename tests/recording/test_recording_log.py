@@ -86,12 +86,29 @@ def test_units(tmp_path: Path, log: LogFormat, u_V: float, y_rad: float) -> None
 
 
 def test_a_column_that_says_which_way_gives_the_drive_its_sign(tmp_path: Path) -> None:
-    for back, forth in (("0", "1"), ("-1", "1"), ("REV", "FWD"), ("backward", "forward"), ("CCW", "CW")):
+    for back, forth in (
+        ("0", "1"),
+        ("-1", "1"),
+        ("REV", "FWD"),
+        ("backward", "forward"),
+        ("CCW", "CW"),
+        ("-", "+"),
+        ("0.0", "1"),
+    ):
         rows = "".join(f"{10 * k},{9 + k},{k},{forth if k % 2 else back}\n" for k in range(4))
         log = LogFormat(LogColumn("ms"), LogColumn("V"), LogColumn("rad"), direction="way")
         assert parse(tmp_path, f"t,u,y,way\n{rows}", log).u_V.tolist() == [-9.0, 10.0, -11.0, 12.0]
     with pytest.raises(RecordingError, match="column 'y' says 4 things, such as '0', '1', '2'"):
         parse(tmp_path, f"t,u,y,way\n{rows}", replace(log, direction="y"))
+
+
+def test_a_direction_that_is_not_said_is_as_it_was_in_a_log_of_changes_and_else_refused(tmp_path: Path) -> None:
+    """An empty field once was a direction of its own: with 0 and 1 the drive was 0 wherever a column said 0."""
+    log = LogFormat(LogColumn("ms"), LogColumn("V"), LogColumn("rad"), direction="way")
+    changes = parse(tmp_path, "t,u,y,way\n0,9,0,1\n10,,1,\n20,,2,\n30,8,3,0\n40,,4,\n50,,5,\n60,,6,\n", log)
+    assert changes.u_V.tolist() == [9.0, 9.0, 9.0, -8.0, -8.0, -8.0, -8.0]
+    with pytest.raises(RecordingError, match=r":3: column way: is empty"):
+        parse(tmp_path, "t,u,y,way\n0,9,0,1\n10,9,1,\n20,9,2,0\n30,9,3,0\n", log)
 
 
 def test_a_unit_that_is_left_out_is_that_of_samples_csv(tmp_path: Path) -> None:

@@ -148,6 +148,24 @@ def test_a_log_with_decimal_commas_between_commas_is_refused_with_a_command_that
     assert whole(read(tmp_path / "plain.csv"))
 
 
+def test_a_second_table_with_other_names_is_refused_and_no_restart_is_one(tmp_path: Path) -> None:
+    """Its rows would be read under the first one's names."""
+    path, rows = tmp_path / "log.csv", log("t_s,u_V,y_rad").splitlines()
+    for names in ("t_s,y_rad,u_V", "t_s,u_V,y_deg"):
+        path.write_text("\n".join([*rows[:15], names, *rows[15:], ""]))
+        with pytest.raises(RecordingError, match=r"csv:16: .*other columns than line 1"):
+            read(path)
+    path.write_text("\n".join([*rows[:15], "boot", rows[0], *rows[15:], ""]))
+    assert whole(read(path))
+
+
+def test_labels_may_change_their_order(tmp_path: Path) -> None:
+    rows = log("", row="t_s:{t:.2f},u_V:{u},y_rad:{y:.4f}").splitlines()
+    rows[5::3] = [",".join(reversed(row.split(","))) for row in rows[5::3]]
+    (tmp_path / "log.csv").write_text("\n".join([*rows, ""]))
+    assert whole(read(tmp_path / "log.csv"))
+
+
 LONG: Final = 10 * log("t_s,u_V,y_rad").splitlines()[1:]
 LONG[:] = [f"{0.01 * k:.2f}{row[4:]}" for k, row in enumerate(LONG)]
 
@@ -221,3 +239,11 @@ def test_units_that_a_name_says() -> None:
         ("Winkel [°]", "position", {"deg"}),
     ):
         assert units_said(name, quantity) == units, name
+
+
+def test_a_servos_log_whose_positions_are_rarer_is_refused_for_they_make_its_drive(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("t,goal,pos\n" + "".join(f"{0.01 * k:.2f},1.0,{'' if k % 2 else 0.01 * k}\n" for k in range(40)))
+    options = "--servo xl330-m288 --gain 400 --goal goal:rad --position pos:rad --time t:s --supply-V 5"
+    result = CliRunner().invoke(reading, [str(path), *options.split()])
+    assert isinstance(result.exception, RecordingError) and ":3: the position is empty" in str(result.exception)

@@ -31,6 +31,7 @@ LEAVES = 3.0  # residual over the sensor's noise from which on a coupling is loo
 ITERATIONS, FINER = 6, 8
 PROMISING = 0.5  # of what a coupling must take from the squares: what it promises to first order, at least
 DAMPED = (0.03, 0.6)  # damping ratios that are looked through
+NEAR = 0.01  # of a bound, for a search in so many steps
 ROWS_OF_SWING = 2.5  # at least so many rows show a swing
 
 
@@ -67,6 +68,13 @@ def coupling_of(choice: Choice, whole: Cut, chooser: Chooser) -> Coupling | None
 def lag_line(coupling: Coupling) -> Entry:
     """The budget's line for the lag of the swing, 2 z / w: what of it is the motor's own belongs to tau."""
     return Entry("lag of the soft coupling", 2.0 * coupling.damping / coupling.rad_s, 0.0, 0.0)
+
+
+def damped_at_bound(coupling: Coupling) -> tuple[str, ...]:
+    """A sentence where the damping is the most that is looked through: the record may ask for more, and lag more."""
+    if coupling.damping < DAMPED[1] - NEAR:
+        return ()
+    return (f"the damping of the soft coupling is at its bound, {DAMPED[1]:g}: the record may ask for more",)
 
 
 def takes_enough(stiff: Choice, soft: Choice, whole: Cut, chooser: Chooser) -> bool:

@@ -41,7 +41,7 @@ _ROWS_AT_ONCE: Final = 4096
 _WITH_UNIT: Final = re.compile(r"([+-]?[0-9.]+(e[+-]?[0-9]+)?)\s*([^\W\d_]+|%|°)", re.IGNORECASE)
 _FEWEST_COLUMNS: Final = 3
 _FEW: Final = 0.01  # share of rows that may lack a number, and are left out
-_EVENTS: Final = 0.5  # share of rows without a drive, from which on it was written where it changed
+EVENTS: Final = 0.5  # share of rows without a drive, from which on it was written where it changed
 # First bytes of files that people often give in place of a CSV file: what the file is, and how to get a CSV file.
 _NO_CSV: Final = {
     b"\x1f\x8b": ("is compressed (gzip)", "unpack it first: gunzip"),
@@ -95,6 +95,9 @@ class CsvText:
         notes = [*notes, *encoded, *torn]
         lines = lines_of(path, whole)
         found = None if own else table_in(lines)
+        if found is not None and found.other:
+            cause = f"the line names other columns than line {found.line}: another table begins"
+            raise RecordingError(path, cause, "cut the file here: each table is a file of its own", found.other)
         if found is not None:
             return cls(path, found.lines, found.delimiter, found.names, found.line, found.rows,
                        (*notes, *found.notes), found.torn, found.units)  # fmt: skip
@@ -157,7 +160,7 @@ class CsvTable:
         columns = replace(self, required=frozenset()).columns()
         missing = {name: np.isnan(columns[name]) for name in self.names if name in self.required}
         share = {name: float(np.mean(lacks)) for name, lacks in missing.items()}
-        if share.get("u_V", 0.0) > _EVENTS:
+        if share.get("u_V", 0.0) > EVENTS:
             given = np.maximum.accumulate(np.where(missing["u_V"], 0, np.arange(len(self.rows))))
             columns["u_V"], share["u_V"] = columns["u_V"][given], 0.0
             missing["u_V"] = np.isnan(columns["u_V"])

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.run_folder.recording import log_mends
-from rig.run_folder.recording.csv_table import CsvTable, CsvText
+from rig.run_folder.recording.csv_table import EVENTS, CsvTable, CsvText
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.log_format import (
     CURRENT_CAUSE,
@@ -90,7 +90,7 @@ def read_log(path: Path, log: LogFormat) -> list[Recording]:
         raw["u_V"] = _drive_V(path, raw["u_V"], choices["drive"], log, rows, notes)
         if log.direction is not None:
             words = _words(path, text, text.line if has_names else None, rows, "direction", log.direction)
-            raw["u_V"] = _ways(path, words, log.direction, notes) * np.abs(raw["u_V"])
+            raw["u_V"] = _ways(path, words, log.direction, rows, notes) * np.abs(raw["u_V"])
     else:
         supply_V = _supply_V(text, rows, first if has_names else (), log, notes)
     runs = _runs(path, text, text.line if has_names else None, raw, rows, log)
@@ -150,6 +150,9 @@ def _of_servo(
     assert log.servo is not None
     if log.servo.P is None:
         raise RecordingError(source, "does not say the servo's gain P", "give what its register held: --gain P")
+    if not np.isfinite(raw["y_rad"]).all():
+        line = rows[int(np.argmax(~np.isfinite(raw["y_rad"])))]
+        raise RecordingError(source, "the position is empty: it makes the drive", "keep the rows that have one", line)
     notes, law, choices = list(notes), replace(log.servo, goal_first=log.drive_row < 0), log.columns()
     t_s = _times_s(raw, log, notes)
     require_rising(source, t_s, rows)
@@ -316,17 +319,27 @@ def _words(
     return np.array([fields[place] if place < len(fields) else "" for fields in map(text.fields, rows)])
 
 
-def _ways(path: Path, words: NDArray[np.str_], column: str, notes: list[str]) -> Floats:
+def _ways(path: Path, words: NDArray[np.str_], column: str, rows: Sequence[int], notes: list[str]) -> Floats:
     """1 or -1 for each row: which way its drive acts, by a column of two words; 0 stands between -1 and 1.
 
-    The larger number is the positive way, or the word that is not reverse, backward or ccw. Raises RecordingError.
+    The larger number is the positive way, or the word that is not reverse, backward, ccw or a minus. A word that most
+    rows lack was written where it changed. Raises RecordingError.
     """
-    back = ("R", "B")  # reverse, backward
+    back = ("R", "B", "-")  # reverse, backward
+    words = np.array([f"{float(word) + 0.0:g}" if is_number(word) else word for word in words.tolist()])
+    lacks = np.isin(words, ("", "nan"))
+    if float(np.mean(lacks)) > EVENTS:
+        words = words[np.maximum.accumulate(np.where(lacks, 0, np.arange(words.size)))]
+        lacks = np.isin(words, ("", "nan"))
+    if lacks.any():
+        raise RecordingError(
+            path, f"column {column}: is empty", "fill it in or delete this line", rows[int(np.argmax(lacks))]
+        )
     there = sorted(
         set(words.tolist()),
         key=lambda word: (float(word) if is_number(word) else 0.0, word[:1].upper() not in back, word),
     )
-    if len(there) != 2 and not (len(there) == 3 and is_number(there[1]) and float(there[1]) == 0.0):
+    if len(there) != 2 and not (len(there) == 3 and there[1] == "0"):
         cause = f"column {shown(column)} says {len(there)} things, such as {', '.join(map(shown, there[:3]))}"
         raise RecordingError(path, cause, "give the column that says one of two directions: --direction COLUMN")
     notes.append(f"the drive is positive where column {column} says {there[-1]}, and negative where {there[0]}")

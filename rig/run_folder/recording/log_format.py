@@ -270,7 +270,8 @@ class LogFormat:
         if self.servo is None:
             return
         for option, given in (
-            ("--drive", self.drive), ("--velocity", self.velocity), ("--reversed", self.reversed), ("--full", self.full)
+            ("--drive", self.drive), ("--velocity", self.velocity), ("--reversed", self.reversed),
+            ("--full", self.full), ("--direction", self.direction),
         ):  # fmt: skip
             if given:
                 raise LogFormatError(

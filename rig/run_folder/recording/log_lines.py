@@ -113,6 +113,7 @@ class Found:
     torn       numbers of lines that were rows, and have lost something: few, and left out
     units      of its columns, from a row of units, without brackets; empty: there is none
     notes      what was left out, as sentences
+    other      number of a line below the rows' begin that names other columns, as of another table; 0: there is none
     """
 
     lines: Sequence[str]
@@ -123,6 +124,7 @@ class Found:
     torn: Sequence[int]
     units: tuple[str, ...]
     notes: tuple[str, ...]
+    other: int
 
 
 def table_in(given: Sequence[str]) -> Found | None:
@@ -147,6 +149,7 @@ def table_in(given: Sequence[str]) -> Found | None:
     if not names and rows[0] > numbers[0] and _is_heading(lines[rows[0] - 2]):
         return None  # of another number of columns: that is said elsewhere
     first = set(numbers) - used - set(rows)
+    other = min((k for k in first if k > rows[0] and shape.names_others(lines[k - 1], names)), default=0)
     torn = [k for k in first if k > rows[0] and any(map(is_number, shape.fields(lines[k - 1])))]
     if len(torn) > _TORN * len(rows):
         rows, first, torn = sorted([*rows, *torn]), first - set(torn), []
@@ -155,7 +158,7 @@ def table_in(given: Sequence[str]) -> Found | None:
             f"line {min(first)} is no row, and was" if len(first) == 1 else f"{len(first)} lines are no rows, and were"
         )
         notes.append(f"{many} left out: {', '.join(shown(lines[k - 1]) for k in sorted(first)[:3])}")
-    return Found(lines, shape.delimiter, names, line, rows, sorted(torn), units, tuple(notes))
+    return Found(lines, shape.delimiter, names, line, rows, sorted(torn), units, tuple(notes), other)
 
 
 @dataclass(frozen=True)
@@ -202,6 +205,13 @@ class _Shape:
         remarks = is_remark and known < 2 and not (known == 1 and not any(" " in name for name in names))
         torn = not has_units and 2 * sum(map(is_number, names)) >= len(names)
         return None if len(names) != self.count or remarks or torn or all(map(is_number, names)) else names
+
+    def names_others(self, line: str, names: Sequence[str]) -> bool:
+        """Whether a line below the names has other names, or these in another order."""
+        fields = self.heading(line, has_units=False)
+        if fields is None or not names or tuple(fields) == tuple(names) or any(map(is_number, fields)):
+            return False
+        return units_of(fields) is None and sum(map(_is_known, fields)) > 1
 
 
 def _is_known(name: str) -> bool:
@@ -251,7 +261,15 @@ def _plain(lines: Sequence[str]) -> tuple[Sequence[str], tuple[str, ...]]:
     if 2 * times <= len(looked_at):
         return lines, ()
     read = ((line, _named(line)) for line in lines)
-    return [",".join(values) if own == names else line for line, (own, values) in read], names
+    return [",".join(_by_name(*named, names)) or line for line, named in read], names
+
+
+def _by_name(own: tuple[str, ...], values: tuple[str, ...], names: tuple[str, ...]) -> tuple[str, ...]:
+    """The values in the order of these names; none where a line has others."""
+    if own == names:
+        return values
+    of = dict(zip(own, values, strict=True))
+    return tuple(of[name] for name in names) if sorted(own) == sorted(names) and len(of) == len(own) else ()
 
 
 def _named(line: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
