@@ -214,8 +214,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "SERVO_SWITCH_UNTRIED": FaultEntry(
         "a joint that no watchdog stops is driven only after the switch of its supply has been tried",
-        "type the command in a terminal, without --json: rig asks you to open the switch, and then to close it again. "
-        "Do each within a minute",
+        "type `rig run CONFIG` in a terminal, without --json: rig asks you to open the switch, and then to close it "
+        "again. Do each within a minute",
     ),
     # guard
     "TRAVEL_HARD": FaultEntry(

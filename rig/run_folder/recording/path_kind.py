@@ -85,8 +85,8 @@ def no_recording(path: Path) -> RecordingError | None:
             return RecordingError(
                 path,
                 "is neither a run folder nor a CSV file",
-                "of a run give its folder; of other numbers export time, drive and position as CSV, or type in Python: "
-                "rig.identify(t, u, y), in s, V and rad",
+                "of a run give its folder, or what `rig export RUN --to FILE.csv` wrote; of other numbers export time, "
+                "drive and position as CSV, or type in Python: rig.identify(t, u, y), in s, V and rad",
             )
     return None
 
