@@ -415,7 +415,9 @@ def untiring(bench: Path) -> Iterator[None]:
     config = bench / "bench.yaml"
     good = config.read_bytes()
     config.write_bytes(
-        (CONFIGS / "quick.yaml").read_bytes().replace(b"interval_percent: 0.4", b"interval_percent: 0.1")
+        (CONFIGS / "quick.yaml")
+        .read_bytes()
+        .replace(b"interval_percent: 0.4", b"interval_percent: 0.1, longest_s: 3600, most_cycles: 10000")
     )
     yield
     config.write_bytes(good)
