@@ -13,7 +13,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -38,9 +38,9 @@ def _sleeps() -> None:
     time.sleep(3600.0)
 
 
-def _in_c() -> None:
-    """Holds the interpreter, and looks at no signal."""
-    collections.deque(itertools.repeat(None), maxlen=0)
+def _in_c(first: Iterable[object] = ()) -> None:
+    """Holds the interpreter from the ``first`` on, and looks at no signal."""
+    collections.deque(itertools.chain(first, itertools.repeat(None)), maxlen=0)
 
 
 def _locked() -> None:
@@ -115,8 +115,7 @@ class Hangs:
         rename, paths = ctypes.PyDLL(None).rename, (os.fsencode(self._written()), os.fsencode(self._mark))
         while self._at_work:
             pass
-        rename(*paths)  # it keeps the interpreter, or has it back at once
-        _in_c()
+        _in_c(map(rename, *([path] for path in paths)))  # whoever sees the mark sees a thread that keeps the interpreter
 
 
 def section(way: str, mark: Path) -> dict[str, Any]:

@@ -155,6 +155,8 @@ def share_cut(full: Array, bare: Array, noise: Array) -> float:
     without laws, has nothing to cut: where the other blocks say more than chance does, each counts by the share of its
     squares that is more than noise.
     """
+    if not np.all(np.isfinite(full)):
+        return -math.inf  # with the laws it takes too many steps
     of_all = math.sqrt(max(float(full.sum()), 1e-300) / max(float(bare.sum()), 1e-300))
     cuts = 0.5 * np.log((bare + noise) / (full + noise))
     beyond = np.maximum(full, bare)

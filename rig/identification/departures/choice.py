@@ -167,7 +167,10 @@ class Chooser:
                     break
                 continue
             most_rad = math.inf if fit is None else max(GROWN * max(fit.rms_rad, self.sigma_rad), hidden_rad)
-            longer, found = self._at_best_shape(solve(self._begun(cut, laws, motor)), laws), laws
+            longer = solve(self._begun(cut, laws, motor))
+            if fit is not None and not math.isfinite(longer.cost):
+                break  # on these pieces it takes too many steps
+            longer, found = self._at_best_shape(longer, laws), laws
             if not leaps or longer.rms_rad <= most_rad:
                 longer, found = self._of_one_turn(*self._settle(longer, laws))
             growth.append((cut.longest_s, longer.rms_rad))
