@@ -4,8 +4,9 @@
 
 /* No motor is as fast: numbers that a fit tries may drive it on by themselves, as a drag that pushes does. */
 static const double RUNAWAY_RAD_S = 1e5;
-/* Steps at most, on the average over rows and edges: by the way that it turns in one, and by its time constants in one. */
+/* Steps at most, on the average over rows and edges: in any one, by the way that it turns in one, and by its time constants. */
 static const double STEPS_OF_ROW = 40.0;
+static const double STEPS_OF_TURNING = 500.0;
 static const double STEPS_OF_TAUS = 1000.0;
 /* Of a drive behind a lag so many of its time constants ago nothing is left within the rounding. */
 static const double FORGOTTEN_LAGS = 40.0;
@@ -552,6 +553,8 @@ void real_readings(const real_motor *numbers, const real_record *record, const r
     const double looks = (double)(n + edges);
     double left = STEPS_OF_ROW * looks;
     left += least(2.0 * (t_s[n - 1] - t_s[0]) / (STEP_OF_TAU * m->tau_s), STEPS_OF_TAUS * looks);
+    double left_of_turning = STEPS_OF_TURNING * looks;
+    const double steps_of_rad = 2.0 * (m->cogs ? most(1.0, fabs(m->cogging_per_rad)) : 1.0) / STEP_OF_TURN;
     int64_t j = edge_at(record, m->delay_s, t_s[0] - FORGOTTEN_LAGS * most(m->lag_s, 0.0));
     double staged_V = staged(m, u_V[j]);
     staged_slopes(m, u_V[j], d.given);
@@ -605,11 +608,13 @@ void real_readings(const real_motor *numbers, const real_record *record, const r
                     }
                 }
                 now = s.duration_s >= end - now ? end : now + s.duration_s;
+                const double due = least(steps_of_rad * fabs(s.end.y - at.y), left_of_turning);
+                left_of_turning -= due;
+                left += due - 1.0;
                 const double x = at.x;
                 at = s.end;
                 at.x = x;
                 take_up_play(m, s.sign, &at);
-                left -= 1.0;
                 if (left < 0.0 || !(fabs(at.v) < RUNAWAY_RAD_S)) { /* its steps are, or would become, too short ever to end */
                     fill(y_rad, n, NAN);
                     fill(jacobian, n * d.columns, NAN);

@@ -798,6 +798,7 @@ def test_a_law_that_one_block_alone_shows_takes_nothing_away() -> None:
     assert share_cut(0.25 * bare, bare, noise) == pytest.approx(0.5, abs=0.01)
     assert share_cut(np.array([1.0, *[1.1] * 7]), bare, noise) < 0.25
     assert share_cut(np.array([8.0, *[0.1] * 7]), bare, noise) < 0.25
+    assert share_cut(np.array([np.inf, *[0.1] * 7]), bare, noise) == -np.inf  # one that cannot be followed
 
 
 def test_blocks_at_rest_do_not_hide_what_a_law_takes_from_the_others_unless_these_differ_by_chance() -> None:

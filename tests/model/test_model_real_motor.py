@@ -369,6 +369,18 @@ def test_stiff_bristles_are_nearly_rigid() -> None:
     assert away[1] == away[2]  # from 0.1 mrad of bending on they are not stiffer
 
 
+@pytest.mark.parametrize("period_s", [0.005, 0.1])
+def test_steps_are_given_to_what_turns_far_in_a_row_and_not_to_bristles_whose_level_is_nearly_gone(
+    period_s: float,
+) -> None:
+    """A fit that tries such bristles would take hours over a record."""
+    t_s, drive = np.arange(0.0, 3.0, period_s), (np.array([0.0, 1.0, 2.0]), np.array([6.0, -6.0, 6.0]))
+    cogging = RealMotor(0.05, 10.0, 0.3)._replace(cogging_sin_V=0.1, cogging_per_rad=12.0)
+    assert np.all(np.isfinite(response(cogging, FRAME, drive, t_s, Pieces.one())))
+    gone = RealMotor(0.04, 9.0, 0.03)._replace(bristle_V_rad=28.0, friction_cos_V=-0.02)
+    assert np.all(np.isnan(response(gone, FRAME, drive, t_s, Pieces.one())))
+
+
 def test_every_part_has_numbers_and_every_number_has_a_part() -> None:
     plain_numbers = ("tau_s", "K_rad_s_V", "fc_V", "bias_V", "delay_s")
     of_parts = dict.fromkeys(name for names in PARTS.values() for name in names)  # two parts share one

@@ -115,7 +115,9 @@ class Hangs:
         rename, paths = ctypes.PyDLL(None).rename, (os.fsencode(self._written()), os.fsencode(self._mark))
         while self._at_work:
             pass
-        _in_c(map(rename, *([path] for path in paths)))  # whoever sees the mark sees a thread that keeps the interpreter
+        _in_c(
+            map(rename, *([path] for path in paths))
+        )  # whoever sees the mark sees a thread that keeps the interpreter
 
 
 def section(way: str, mark: Path) -> dict[str, Any]:
