@@ -47,7 +47,8 @@ def run(
     series    as of ``record``
     """
     if experiment.law is not None:
-        return run_law(experiment, configured_law(experiment.law), parent, on_start, again, series)
+        law = configured_law(experiment.law)
+        return run_law(experiment, law, parent, on_start, again, series)
 
     more = [tell_apart] if experiment.identify.thorough else []
     script = _in_turn(partial(_drive_tests, known=known), stages.identify_recorded, *more, stages.verify_models)
