@@ -104,6 +104,7 @@ class Session:
     found: Findings = field(default_factory=Findings)
     recording: Recording | None = None  # the rows that were read last
     delay: BenchDelay | None = None  # of the bench, once it is known; in a replay from the begin
+    reads: Callable[[Path, Recording | None], Recording] = read_run  # the folder's rows, by those that were read last
     paced: str = ""  # at the end: as of ``Outcome``
     made: os.stat_result | None = field(init=False, default=None)  # the folder, as it was made
 
@@ -125,7 +126,7 @@ class Session:
     def read(self) -> Recording:
         """The rows so far. Parses only the rows since the last call. Raises RecordingError."""
         self.require_own_folder()
-        self.recording = read_run(self.folder, self.recording)
+        self.recording = self.reads(self.folder, self.recording)
         return self.recording
 
     def note(self, kind: str, **fields: JsonScalar) -> None:
