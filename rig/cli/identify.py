@@ -100,7 +100,7 @@ def identify(
     try:
         undrawn = "" if picture is None else _draw(found, picture)
         if report is not None:
-            from rig.output.report.identified import write_identified
+            from rig.output.report.page import write_identified
 
             with patience("drawing the report"):
                 write_identified(found, records, report)
