@@ -17,8 +17,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Literal
 
-from rig.backends.emulated.errors import EmulationError
 from rig.config.problems import ConfigError
+from rig.core.errors import RigError
 from rig.core.faults import Fault
 from rig.panel.calibration import watched
 from rig.panel.messages import Answer, CalibrationEnd, Doing, Question, Said
@@ -122,7 +122,7 @@ def main(config: Path, out: Path) -> None:
         _end("rig cannot calibrate with this config", str(error))
     except (BusyError, Fault, Refusal, NotWrittenError, RecordingError) as error:
         _end(getattr(error, "cause", str(error)), error.cure)
-    except EmulationError as error:
+    except RigError as error:  # such as of an emulated device that does not start
         words, _, cure = str(error).partition("\n")
         _end(words, cure)
     else:
