@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Self, cast
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from rig import terminal
 from rig.core.optional import needed
 from rig.identification import Estimate, Identification
 from rig.output.compare.comparison import Comparison
@@ -25,6 +24,15 @@ from rig.output.report.simulated import Simulated, beyond, drawn, figure_of, pre
 from rig.output.report.style import AbsentError, laid_out, style
 from rig.output.report.tables import estimates as estimate_rows
 from rig.output.report.words import PARAMETERS, quantity
+from rig.output.text import (
+    BUDGET_HEADINGS,
+    MOTOR_LAW_HEADINGS,
+    budget_rows,
+    comparison_words,
+    law_causes,
+    motor_law_rows,
+    plain_table,
+)
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import META
 from rig.run_folder.recording.reader import recordings_of
@@ -129,7 +137,7 @@ class Compared(Comparison):
 
     def summary(self) -> str:
         """Both answers, the scatter, the trends and the notes."""
-        return "\n".join(terminal.comparison_words(self.result))
+        return "\n".join(comparison_words(self.result))
 
     def report(self, path: str | PathLike[str]) -> Path:
         """Write the report, a page of HTML, and return its path. Raises CannotWriteError."""
@@ -172,7 +180,7 @@ class FoundEstimate(Estimate):
     def summary(self) -> str:
         """The verdict, the parameters with their 95 % intervals, the reasons; a refused estimate shows no number."""
         rows = self._rows()
-        table = terminal.plain_table(_PARAMETER_HEADINGS, rows) if rows else []
+        table = plain_table(_PARAMETER_HEADINGS, rows) if rows else []
         return "\n".join([f"{self.method}: {self.verdict}", *table, *self.reasons])
 
     def plot(self) -> Figure:
@@ -260,10 +268,10 @@ class Found(Identification):
         result = self.as_result()
         tables = (
             (_HEADINGS, _table(self._result())),
-            (terminal.MOTOR_LAW_HEADINGS, terminal.motor_law_rows(result)),
-            (terminal.BUDGET_HEADINGS, terminal.budget_rows(result)),
+            (MOTOR_LAW_HEADINGS, motor_law_rows(result)),
+            (BUDGET_HEADINGS, budget_rows(result)),
         )
-        added = [line for headings, rows in tables if rows for line in terminal.plain_table(headings, rows)]
+        added = [line for headings, rows in tables if rows for line in plain_table(headings, rows)]
         return "\n".join([repr(self), *added, *reasons, *self.notes])
 
     def plot(self) -> Figure:
@@ -308,7 +316,7 @@ class Found(Identification):
         return RunResult(answer=self.answer, estimates=self.as_result().estimates)
 
     def __repr__(self) -> str:
-        return "\n".join(answer_lines(self.answer, terminal.law_causes()))
+        return "\n".join(answer_lines(self.answer, law_causes()))
 
     def _repr_html_(self) -> str:
         notes = "".join(f"<li>{html.escape(note)}</li>" for note in self.notes)

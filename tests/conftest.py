@@ -83,10 +83,7 @@ def _no_drawing() -> Iterator[None]:
 @contextlib.contextmanager
 def _no_figures() -> Iterator[None]:
     """In its block a report says of each figure that there is none: to make them all takes longer than a run, too."""
-    pages = [
-        importlib.import_module(name)
-        for name in ("rig.output.report.page", "rig.output.report.identified", "rig.output.compare.page")
-    ]
+    pages = [importlib.import_module(name) for name in ("rig.output.report.page", "rig.output.compare.page")]
     with _no_drawing(), pytest.MonkeyPatch.context() as patch:
         for page in pages:  # loaded now, or one that is loaded in the block keeps this for later tests
             patch.setattr(page, "drawn", lambda *_: pages[0].Figure(None, "not in this test"))

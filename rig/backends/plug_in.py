@@ -11,22 +11,41 @@ device has more than a driver: a section of its own, rules, a link budget, an em
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from difflib import get_close_matches
 from functools import lru_cache
-from importlib.metadata import EntryPoint
+from importlib.metadata import EntryPoint, entry_points
 from types import MappingProxyType
 
 from typing_extensions import override
 
 from rig.backends.backend import Backend, Unopened, host_clock, truth_of
 from rig.backends.driver import DeviceWatchdog, Driver, DriverSettings, RelayDriver, StrokeDriver
-from rig.config.problems import ConfigError, Problem, wrong
+from rig.config.problems import ConfigError, Problem, printable, wrong
 from rig.config.schema import DeviceSetup
 from rig.core import plug_ins
 from rig.core.plug_ins import PlugInError
 
+GROUP = "rig.daq"
 _ARGUMENTS = {"open": 0, "arm": 1, "read": 0, "write": 1, "safe_stop": 0, "close": 0}
+
+
+def registered() -> dict[str, EntryPoint]:
+    """What installed packages offer, by name. Raises PlugInError if two offer the same name."""
+    return plug_ins.offered(GROUP, "driver", entry_points)
+
+
+def load(name: str) -> type[Driver] | Backend:
+    """The driver class, or the backend, of that name from another package.
+
+    Raises LookupError, with the known names, if there is none; PlugInError as ``loaded``.
+    """
+    known = registered()
+    if name not in known:
+        listed = ", ".join(sorted(known)) or "none is installed"
+        raise LookupError(f"no driver {name!r} in entry point group {GROUP!r}; known: {listed}")
+    return loaded(known[name])
 
 
 def loaded(entry: EntryPoint) -> type[Driver] | Backend:
@@ -196,8 +215,34 @@ class PlugIn(Backend):
         yield Unopened(driver, getattr(driver, "clock", None) or host_clock(d), truth_of(d))
 
 
+def offered_backend(name: str, built_in: Iterable[str]) -> Backend:
+    """The device of that name from another package. If there is none: a backend whose rules refuse every config.
+
+    built_in  names of rig's own devices, for the refusal
+    """
+    try:
+        found = load(name)
+    except LookupError:
+        return PlugIn(refusal=_unknown(name, built_in))
+    except PlugInError as error:
+        return PlugIn(refusal=refused(error))
+    return found if isinstance(found, Backend) else _plug_in(registered()[name], found)
+
+
+def _unknown(name: str, built_in: Iterable[str]) -> Problem:
+    """The problem of a driver that is neither built in nor installed."""
+    installed = sorted(registered())
+    close = get_close_matches(name, [*built_in, *installed], n=1)
+    return wrong(
+        "daq.driver",
+        f"no driver {printable(name)!r}; built in: {', '.join(built_in)}; "
+        f"plug-ins installed: {', '.join(installed) or 'none'}",
+        f"did you mean '{close[0]}'?" if close else "install the package that offers it (docs/plug-in-driver.md)",
+    )
+
+
 @lru_cache(maxsize=8)
-def plug_in(entry: EntryPoint, driver_class: type[Driver]) -> PlugIn:
+def _plug_in(entry: EntryPoint, driver_class: type[Driver]) -> PlugIn:
     """The backend of a driver class: one object, so that it knows what it has checked already."""
     return PlugIn(entry, driver_class)
 

@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from difflib import get_close_matches
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,17 +16,15 @@ from rig.backends.backend import Backend, Unopened
 from rig.backends.clock import MonotonicClock, PacedClock
 from rig.backends.driver import Clock, DeviceInfo, Driver
 from rig.backends.emulated.shaft import ShaftPath
-from rig.backends.plug_in import PlugIn, loaded, plug_in, refused
-from rig.config.problems import Problem, printable, wrong
+from rig.backends.plug_in import GROUP, offered_backend
+from rig.config.problems import Problem, wrong
 from rig.config.schema import DeviceSetup
 from rig.core.faults import Fault
-from rig.core.plug_ins import PlugInError, offered
 
 if TYPE_CHECKING:  # these load slowly
     from rig.backends.emulated.board_process import BoardProcess
     from rig.model.bench import BenchParameters
 
-GROUP = "rig.daq"
 BUILT_IN = {
     name: EntryPoint(name, f"rig.backends.{name}.backend:{name.upper()}", GROUP)
     for name in ("simulated", "serial", "modbus", "servo")
@@ -53,23 +50,6 @@ class Bench:
     shaft: Callable[[], ShaftPath] | None = None
 
 
-def registered() -> dict[str, EntryPoint]:
-    """What installed packages offer, by name. Raises PlugInError if two offer the same name."""
-    return offered(GROUP, "driver", entry_points)
-
-
-def load(name: str) -> type[Driver] | Backend:
-    """The driver class, or the backend, of that name from another package.
-
-    Raises LookupError, with the known names, if there is none; PlugInError as ``plug_in.loaded``.
-    """
-    known = registered()
-    if name not in known:
-        listed = ", ".join(sorted(known)) or "none is installed"
-        raise LookupError(f"no driver {name!r} in entry point group {GROUP!r}; known: {listed}")
-    return loaded(known[name])
-
-
 def backend_of(d: DeviceSetup) -> Backend:
     """The device that the config names. If there is none: a backend whose rules refuse every config."""
     return backend_named(d.daq.driver)
@@ -78,28 +58,9 @@ def backend_of(d: DeviceSetup) -> Backend:
 def backend_named(name: str) -> Backend:
     """The device of that name; as ``backend_of``."""
     if name in BUILT_IN:
-        found = loaded(BUILT_IN[name])
-        assert isinstance(found, Backend)
-        return found
-    try:
-        found = load(name)
-    except LookupError:
-        return PlugIn(refusal=unknown_driver(name))
-    except PlugInError as error:
-        return PlugIn(refusal=refused(error))
-    return found if isinstance(found, Backend) else plug_in(registered()[name], found)
-
-
-def unknown_driver(name: str) -> Problem:
-    """The problem of a driver that is neither built in nor installed."""
-    installed = sorted(registered())
-    close = get_close_matches(name, [*BUILT_IN, *installed], n=1)
-    return wrong(
-        "daq.driver",
-        f"no driver {printable(name)!r}; built in: {', '.join(BUILT_IN)}; "
-        f"plug-ins installed: {', '.join(installed) or 'none'}",
-        f"did you mean '{close[0]}'?" if close else "install the package that offers it (docs/plug-in-driver.md)",
-    )
+        built_in: Backend = BUILT_IN[name].load()
+        return built_in
+    return offered_backend(name, BUILT_IN)
 
 
 def rules(d: DeviceSetup) -> Iterator[Problem]:

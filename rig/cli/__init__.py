@@ -1,4 +1,4 @@
-"""The command `rig`. Each command stands in the file of its name; ``rig.terminal`` shows the results.
+"""The command `rig`. Each command stands in the file of its name; ``rig.cli.terminal`` shows the results.
 
 shared   arguments and options that several commands have, and how a command ends
 driving  what commands share that open a device

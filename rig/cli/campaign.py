@@ -11,7 +11,7 @@ import click
 
 from rig import config
 from rig.cli.shared import CONFIG, EXIT_FAILED, FOLDER, JSON, asks_json, fail, say_json
-from rig.terminal import progress, show_campaign
+from rig.cli.terminal import progress, show_campaign
 
 
 @click.command()

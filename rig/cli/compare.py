@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from rig.cli.shared import FILE, JSON, PATH, asks_json, require_new, say_json
-from rig.terminal import patience, show_comparison
+from rig.cli.terminal import patience, show_comparison
 
 
 class Percents(click.ParamType):  # type: ignore[type-arg]

@@ -9,7 +9,7 @@ import click
 
 from rig.cli import shared
 from rig.cli.driving import checked
-from rig.terminal import patience, show_design
+from rig.cli.terminal import patience, show_design
 
 NO_TEST = (
     "rig: no test stays inside the room for every motor within the doubt\n"

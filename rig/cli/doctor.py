@@ -10,7 +10,7 @@ import click
 
 from rig.cli.driving import checked, say_chip_starts
 from rig.cli.shared import EXIT_FAILED, JSON, OUT, PATH, FiniteRange, asks_json, fail
-from rig.terminal import show_finding
+from rig.cli.terminal import show_finding
 
 
 @click.command()

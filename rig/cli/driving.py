@@ -15,10 +15,10 @@ from rich.console import Console
 
 from rig.backends.serial.ports import CHIP_PORTS
 from rig.cli.shared import EXIT_FAILED, asks_json, fail, say_json
+from rig.cli.terminal import show_run
 from rig.config import Experiment, read
 from rig.core import person
 from rig.running import preflight
-from rig.terminal import show_run
 
 if TYPE_CHECKING:  # scipy comes with it
     from rig.running.session import OnStart, Outcome

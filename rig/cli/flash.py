@@ -212,18 +212,15 @@ def _flash_uno(options: Variant, port: str | None, hex_file: Path | None, *, dry
     with uno.held(port) as holds:
         click.echo(f"running: {shlex.join(command)}")
         uno.write(command, port, partial(click.echo, nl=False, err=True), holds)
-    click.echo("written; waiting for the board to answer ...")
-    hello = uno.meet(port, options.baud)
-    click.echo(f"{port}: {uno.in_words(hello)}")
+    _ask(port, options.baud, "uno" if hex_file is None else None)
     if hex_file is None:
-        uno.check_build(hello, "uno")
         click.echo(f"before you switch on the motor's supply: {uno.AT_REST[_bridge(options)]}")
 
 
 def _flash_pico(options: Variant, port: str | None, uf2: Path | None, drive: Path | None, *, dry_run: bool) -> None:
     from rig.backends.serial import flash_pico as pico
     from rig.backends.serial.emulated.firmware_build import build_pico
-    from rig.backends.serial.flash import FlashError, check_build, in_words, meet
+    from rig.backends.serial.flash import FlashError
 
     program = uf2 or _shipped("pico", f"{options.name_for('pico')}.uf2") or build_pico(options)
     try:
@@ -243,13 +240,20 @@ def _flash_pico(options: Variant, port: str | None, uf2: Path | None, drive: Pat
             "written. To ask it who it is, give the port of its serial adapter: --port PORT; or `rig doctor CONFIG`"
         )
     else:
-        click.echo("written; waiting for the board to answer ...")
-        hello = meet(port, options.baud)
-        click.echo(f"{port}: {in_words(hello)}")
-        if uf2 is None:
-            check_build(hello, "pico")
+        _ask(port, options.baud, "pico" if uf2 is None else None)
     if uf2 is None:
         click.echo(f"before you switch on the motor's supply: {pico.AT_REST[_bridge(options)]}")
+
+
+def _ask(port: str, baud: int, board: str | None) -> None:
+    """Ask a board that was written who it is. Raises FlashError; ``board``: where it is to run this rig's firmware."""
+    from rig.backends.serial.flash import check_build, in_words, meet
+
+    click.echo("written; waiting for the board to answer ...")
+    hello = meet(port, baud)
+    click.echo(f"{port}: {in_words(hello)}")
+    if board is not None:
+        check_build(hello, board)
 
 
 def _shipped(board: str, file: str) -> Path | None:

@@ -12,11 +12,11 @@ import click
 
 from rig.cli.log_options import log_options
 from rig.cli.shared import EXIT_FAILED, FILE, JSON, PATH, ROWS, Positive, asks_json, fail, require_new, say_json
+from rig.cli.terminal import patience, show_answer, show_details
 from rig.core.estimators import ESTIMATORS
 from rig.run_folder.recording.errors import CannotWriteError, RecordingError
 from rig.run_folder.recording.log_format import LogFormat
 from rig.run_folder.results.meta import REHEARSAL
-from rig.terminal import patience, show_answer, show_details
 
 _MOST_NOTES = 20  # on what was read: what a reader of logs changes or leaves out is told
 
@@ -100,7 +100,7 @@ def identify(
     try:
         undrawn = "" if picture is None else _draw(found, picture)
         if report is not None:
-            from rig.output.report.identified import write_identified
+            from rig.output.report.page import write_identified
 
             with patience("drawing the report"):
                 write_identified(found, records, report)

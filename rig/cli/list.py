@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from rig.cli.shared import JSON, PATH, asks_json, say_json
-from rig.terminal import show_runs
+from rig.cli.terminal import show_runs
 
 
 @click.command("list")

@@ -8,7 +8,7 @@ import sys
 import click
 
 from rig.cli.shared import EXIT_FAILED, JSON, asks_json, fail
-from rig.terminal import show_prediction
+from rig.cli.terminal import show_prediction
 
 
 @click.command()

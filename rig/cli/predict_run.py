@@ -9,9 +9,9 @@ import click
 
 from rig.cli.log_options import log_options
 from rig.cli.shared import FILE, JSON, PATH, ROWS, asks_json, fail, require_new, say_json
+from rig.cli.terminal import patience
 from rig.run_folder.recording.log_format import LogFormat
 from rig.run_folder.results.answer_words import of_all
-from rig.terminal import patience
 
 
 @click.command("predict-run")

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from rig.cli.shared import EXIT_FAILED, JSON, PATH, asks_json, say_json
-from rig.terminal import progress, show_replay
+from rig.cli.terminal import progress, show_replay
 
 
 @click.command()

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from rig.cli.shared import EXIT_FAILED, PATH, fail
-from rig.terminal import patience
+from rig.cli.terminal import patience
 
 
 @click.command()

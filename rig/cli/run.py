@@ -11,7 +11,7 @@ from rich.console import Console
 
 from rig.cli.driving import checked_bench, perform
 from rig.cli.shared import AS_CHECKED, CONFIG, EXIT_FAILED, JSON, OUT, PACE, PATH, asks_json, fail, say_json
-from rig.terminal import show_scatter
+from rig.cli.terminal import show_scatter
 
 
 @click.command()

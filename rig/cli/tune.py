@@ -97,7 +97,7 @@ def tune(
             shared.fail(f"{option} is for the loop of a servo", "add --servo MODEL")
     shared.require_new(file, shared.PICTURES)
     bench = None if config_path is None else checked_bench(config_path, pace)
-    from rig.terminal import patience, progress, show_tuned
+    from rig.cli.terminal import patience, progress, show_tuned
 
     with patience("loading"):
         from rig.output.report import tuned_loop
@@ -158,9 +158,9 @@ def _of_servo(
             option = next(one.opts[0] for one in context.command.params if one.name == name)
             shared.fail(f"{option} is for rig's own loop, and --servo for the servo's", "leave one of them out")
     from rig.backends.servo.first_config import model_named
+    from rig.cli.terminal import show_servo_loop
     from rig.design.tune.margins import Margins
     from rig.running.run_tuning import servo_loop_of
-    from rig.terminal import show_servo_loop
 
     servo = model_named(model)
     phase_deg, gain_dB = least

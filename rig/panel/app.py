@@ -289,11 +289,7 @@ class _Pages:
             raise RefusedError(401, "this panel asks for its password", "open its page first")
 
     def _require_operator(self, request: Request) -> None:
-        session = self._session(request)
-        if session is None:
-            raise _no_session()
-        if not self._panel.access.is_operator(session):
-            raise RefusedError(403, "another page has the bench", "take it first")
+        _require_operator(self._panel.access, self._session(request))
 
 
 class _Queue:
@@ -417,10 +413,7 @@ class _Sockets:
             if isinstance(share, bool) or not isinstance(share, int | float) or not -1.0 <= share <= 1.0:
                 raise RefusedError(400, "volts_share is a number from -1 to 1", "")
             try:
-                if page.session is None:
-                    raise _no_session()
-                if not panel.access.is_operator(page.session):
-                    raise RefusedError(403, "another page has the bench", "take it first")
+                _require_operator(panel.access, page.session)
                 panel.bench.jog(page.name, float(share))
             except RefusedError as error:  # the page may be late to know: it is told, and stays
                 await socket.send_json(Refused(type="refused", what=error.what, cure=error.cure))
@@ -489,6 +482,13 @@ def _answer(asked: JsonObject) -> Answer:
     if isinstance(text, str):
         return {"answer": text}
     raise RefusedError(400, "that is no answer", 'send "answer", "steps", "skip" or "end"')
+
+
+def _require_operator(access: Access, session: str | None) -> None:
+    if session is None:
+        raise _no_session()
+    if not access.is_operator(session):
+        raise RefusedError(403, "another page has the bench", "take it first")
 
 
 def _no_session() -> RefusedError:

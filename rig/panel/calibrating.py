@@ -12,14 +12,13 @@ from __future__ import annotations
 import json
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Literal
 
-from rig.backends.emulated.errors import EmulationError
 from rig.config.problems import ConfigError
-from rig.control.loop.stop_request import Gone
+from rig.core.errors import RigError
 from rig.core.faults import Fault
 from rig.panel.calibration import watched
 from rig.panel.messages import Answer, CalibrationEnd, Doing, Question, Said
@@ -97,7 +96,7 @@ def _end(words: str, cure: str, *, written: bool = False) -> None:
 
 
 @contextmanager
-def _attended(out: Path) -> Iterator[Gone]:
+def _attended(out: Path) -> Iterator[Callable[[], str]]:
     """What tells, for the block, that the panel is gone. Raises NotWrittenError where its leases have no room."""
     with ExitStack() as stack:
         try:
@@ -123,7 +122,7 @@ def main(config: Path, out: Path) -> None:
         _end("rig cannot calibrate with this config", str(error))
     except (BusyError, Fault, Refusal, NotWrittenError, RecordingError) as error:
         _end(getattr(error, "cause", str(error)), error.cure)
-    except EmulationError as error:
+    except RigError as error:  # such as of an emulated device that does not start
         words, _, cure = str(error).partition("\n")
         _end(words, cure)
     else:

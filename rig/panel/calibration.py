@@ -19,7 +19,6 @@ from itertools import count
 from pathlib import Path
 from typing import Final
 
-from rig.control.loop.stop_request import Gone
 from rig.core.signals import plain
 from rig.panel.messages import Answer, CalibrationEnd, CalibrationShown, Question, RefusedError, Said
 from rig.run_folder.live.lease import HeldLease, Leaser
@@ -30,7 +29,7 @@ EVERY_S: Final = 0.05  # between two promises, each of 150 ms
 
 
 @contextmanager
-def watched(out: Path) -> Iterator[Gone]:
+def watched(out: Path) -> Iterator[Callable[[], str]]:
     """In the calibration's process, for the block: what tells whether the panel is gone. Raises OSError.
 
     out  folder of the run folders

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
+import operator
 import platform
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
-from operator import index
 from pathlib import Path
 
 from rig.backends.clock import MonotonicClock, PacedClock
@@ -17,7 +17,6 @@ from rig.backends.registry import Bench, backend_of
 from rig.config import Experiment
 from rig.control.breakaway import BreakawayCheck
 from rig.control.excitation import GainSearch, SettledCycle
-from rig.control.loop.statistics import LoopStatistics
 from rig.control.rising_gains import RisingGains
 from rig.core.faults import Fault
 from rig.core.package import VERSION as RIG_VERSION
@@ -81,10 +80,12 @@ def run_meta(experiment: Experiment, bench: Bench, script: results.ScriptCall, s
     info = bench.info
     measures_supply = not math.isnan(info.supply_V)
     watchdog_s = device_watchdog_s(experiment.device)
+    emulated = experiment.emulated
+    is_rehearsal = info.emulated and emulated is not None and emulated.rehearsal is not None
     return results.RunMeta(
         version=VERSION,
         name=experiment.name,
-        backend=_backend(bench, experiment),
+        backend=f"{'rehearsal, nothing real: ' if is_rehearsal else ''}{bench.driver.backend}",
         emulated=info.emulated,
         order=bench.driver.order,
         period_s=experiment.period_s,
@@ -117,7 +118,7 @@ def run_meta(experiment: Experiment, bench: Bench, script: results.ScriptCall, s
         host={"system": platform.platform(), "machine": platform.machine()},
         command=" ".join(sys.argv),
         truth=true_motor(bench),
-        rehearsal=is_rehearsal(bench, experiment) or None,
+        rehearsal=is_rehearsal or None,
         time=run_time(bench),
         script=script,
         identify_without=experiment.identify.without or None,
@@ -135,20 +136,25 @@ def run_time(bench: Bench) -> results.RunTime:
 
 
 def run_result(
-    experiment: Experiment, bench: Bench, statistics: LoopStatistics, found: Findings, fault: Fault | None
+    experiment: Experiment,
+    meta: results.RunMeta,
+    told: Mapping[str, object],
+    loop: results.LoopResult,
+    found: Findings,
+    fault: Fault | None,
 ) -> results.RunResult:
-    """result.json of a run that has come to its end or to a fault."""
+    """result.json of a run that has come to its end or to a fault; ``told``: the driver's counts."""
     own = found.identification
-    link, not_counts = _link_counts(bench.driver.link_statistics)
+    link, not_counts = _link_counts(told)
     return results.RunResult(
         version=VERSION,
-        backend=_backend(bench, experiment),
-        rehearsal=is_rehearsal(bench, experiment) or None,
+        backend=meta.backend,
+        rehearsal=meta.rehearsal,
         answer=_answer(found),
         estimates=_estimates(found),
         relays=() if own is None else tuple(own.relays),
         tracking=dict(found.tracking),
-        loop=_loop(statistics, found.real_time),
+        loop=loop.model_copy(update={"real_time": found.real_time}),
         link=link,
         faults=_faults(fault),
         config_notes=tuple(notes(experiment.device)),
@@ -163,33 +169,23 @@ def run_result(
         if found.search is None
         else tuple(results.SearchStepResult(**step._asdict()) for step in found.search.steps),
         stopped=found.stopped,
-        truth=true_motor(bench),
+        truth=meta.truth,
     )
 
 
-def is_rehearsal(bench: Bench, e: Experiment) -> bool:
-    """Whether the motor behind this bench was made up by `rig rehearse`."""
-    return bench.info.emulated and e.emulated is not None and e.emulated.rehearsal is not None
-
-
-def _backend(bench: Bench, e: Experiment) -> str:
-    """The bench in words, which stand under every picture of the run."""
-    return f"{'rehearsal, nothing real: ' if is_rehearsal(bench, e) else ''}{bench.driver.backend}"
-
-
 def least_result(
-    bench: Bench, experiment: Experiment, statistics: LoopStatistics, notes: list[str], fault: Fault | None
+    meta: results.RunMeta, loop: results.LoopResult, notes: list[str], fault: Fault | None
 ) -> results.RunResult:
     """result.json of a run whose findings cannot be written: backend, loop, fault and notes."""
     return results.RunResult(
         version=VERSION,
-        backend=_backend(bench, experiment),
-        rehearsal=is_rehearsal(bench, experiment) or None,
+        backend=meta.backend,
+        rehearsal=meta.rehearsal,
         answer=None,
         estimates={},
         relays=(),
         tracking={},
-        loop=statistics.summary(),
+        loop=loop,
         link={},
         faults=_faults(fault),
         config_notes=(),
@@ -257,10 +253,6 @@ def _answer(found: Findings) -> results.Answer | None:
     return None if answer is None else answer.model_copy(update={"rows": None})
 
 
-def _loop(statistics: LoopStatistics, real_time: results.RealTimeReport | None) -> results.LoopResult:
-    return statistics.summary().model_copy(update={"real_time": real_time})
-
-
 def _faults(fault: Fault | None) -> tuple[results.FaultReport, ...]:
     return () if fault is None else (results.FaultReport(**fault.as_dict()),)
 
@@ -270,7 +262,7 @@ def _link_counts(told: Mapping[str, object]) -> tuple[dict[str, int], list[str]]
     counts, notes = {}, []
     for name, value in told.items():
         try:
-            counts[str(name)] = index(int(value) if isinstance(value, float) and value.is_integer() else value)  # type: ignore[arg-type]  # refused below
+            counts[str(name)] = operator.index(int(value) if isinstance(value, float) and value.is_integer() else value)  # type: ignore[arg-type]  # refused below
         except TypeError:
             notes.append(f"the driver counts {name!r} as {value!r}, which is no whole number: left out of `link`")
     return counts, notes

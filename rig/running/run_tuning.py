@@ -271,12 +271,15 @@ def _that_fits(place: _Place, asked: Asked, motor: UncertainMotor) -> tuple[Tune
     steps = [asked.step or STEP_SHARE * (room.high_rad - room.low_rad)]
     if asked.step is None and asked.loop == "velocity":
         steps = [STEP_SHARE * top_rad_s * SMALLER**k for k in range(TIMES)]
+
+    def at(step: float) -> tuple[Tuned, Trial]:
+        tuned = tune(motor, sensing, Wish(asked.loop, step, asked.bandwidth_1_s, least, top_rad_s))
+        return tuned, whole_trial(tuned, room)
+
     for step in steps[:-1]:
         with contextlib.suppress(TuneError):
-            tuned = tune(motor, sensing, Wish(asked.loop, step, asked.bandwidth_1_s, least, top_rad_s))
-            return tuned, whole_trial(tuned, room)
-    tuned = tune(motor, sensing, Wish(asked.loop, steps[-1], asked.bandwidth_1_s, least, top_rad_s))
-    return tuned, whole_trial(tuned, room)
+            return at(step)
+    return at(steps[-1])
 
 
 def _room(e: Experiment) -> Room:

@@ -41,7 +41,7 @@ from rig.run_folder.recording.stage import Stage, StageKind
 from rig.run_folder.results import JsonObject, RunMeta, RunResult, ScriptCall, TrackingResult
 from rig.run_folder.results.answer_words import NOTHING_TO_IDENTIFY
 from rig.running.preflight.loop_settings import guard_settings_of
-from rig.running.run_summary import Findings, is_rehearsal, least_result, run_meta, run_result, run_time
+from rig.running.run_summary import Findings, least_result, run_meta, run_result, run_time
 
 COASTING = 2.0  # estimated no-load speed over that of the data sheet from which on the bridge is doubted
 MOST_TESTS = 40  # designed tests of one run
@@ -104,6 +104,7 @@ class Session:
     found: Findings = field(default_factory=Findings)
     recording: Recording | None = None  # the rows that were read last
     delay: BenchDelay | None = None  # of the bench, once it is known; in a replay from the begin
+    reads: Callable[[Path, Recording | None], Recording] = read_run  # the folder's rows, by those that were read last
     paced: str = ""  # at the end: as of ``Outcome``
     made: os.stat_result | None = field(init=False, default=None)  # the folder, as it was made
 
@@ -125,7 +126,7 @@ class Session:
     def read(self) -> Recording:
         """The rows so far. Parses only the rows since the last call. Raises RecordingError."""
         self.require_own_folder()
-        self.recording = read_run(self.folder, self.recording)
+        self.recording = self.reads(self.folder, self.recording)
         return self.recording
 
     def note(self, kind: str, **fields: JsonScalar) -> None:
@@ -201,20 +202,21 @@ def _begin(
     experiment: Experiment, parent: Path, what: ScriptCall, bench: Bench, stop: StopRequest, started: datetime
 ) -> tuple[Session, Recorder]:
     """Make the run folder, its recorder and the loop."""
-    command = "rehearsal" if is_rehearsal(bench, experiment) else what.name
-    folder = create_run(parent, f"{command}-{experiment.name}", started)
+    info, drive = bench.info, experiment.drive
+    tried = info.emulated and experiment.limits.is_endless
+    latched = [_latched(code, tried) for code in info.acknowledged]
+    supply = SupplyReading(info.supply_V, info.supply_at_least, drive.supply_V, drive.bridge_drop_V).objection
+    stages = _stages(experiment)
+    meta = run_meta(experiment, bench, what, started)
+    settings = guard_settings_of(experiment)
+    folder = create_run(parent, f"{'rehearsal' if meta.rehearsal else what.name}-{experiment.name}", started)
     no_flag = _set_up_flag(stop, folder)
     write_config(folder, dump(experiment), follows_links=False)
-    meta = run_meta(experiment, bench, what, started)
     write_meta(folder, meta, follows_links=False)
-    guard = Guard(guard_settings_of(experiment))
-    recorder = Recorder(folder, _stages(experiment), waits=not isinstance(bench.clock, MonotonicClock))
-    loop = Loop(bench.driver, bench.clock, guard, recorder, experiment.period_s, stop)
+    recorder = Recorder(folder, stages, waits=not isinstance(bench.clock, MonotonicClock))
+    loop = Loop(bench.driver, bench.clock, Guard(settings), recorder, experiment.period_s, stop)
     _tell_time(stop, loop, bench.clock)
-    tried = bench.info.emulated and experiment.limits.is_endless
-    first_notes = [*no_flag, *bench.info.remarks, *(_latched(code, tried) for code in bench.info.acknowledged)]
-    supply = _supply(experiment, bench).objection
-    first_notes += [] if supply is None else [supply]
+    first_notes = [*no_flag, *info.remarks, *latched, *([] if supply is None else [supply])]
     return Session(experiment, folder, bench, recorder, loop, meta, Findings(notes=first_notes)), recorder
 
 
@@ -297,9 +299,9 @@ def _told_pace(session: Session) -> str:
     clock = session.bench.clock
     if not isinstance(clock, PacedClock):
         return ""
-    session.meta = session.meta.model_copy(update={"time": run_time(session.bench)})
     with suppress(RecordingError):  # a full disk has its own words: the result that follows goes there, too
         session.require_own_folder()
+        session.meta = session.meta.model_copy(update={"time": run_time(session.bench)})
         write_meta(session.folder, session.meta, follows_links=False)
     stood = "without a stall"
     if clock.stalls:
@@ -378,14 +380,14 @@ def _defect(error: Exception) -> str:
 
 
 def _write_result(session: Session, outcome: Outcome) -> None:
+    meta, loop = session.meta, session.loop.statistics.summary()
+    told = session.bench.driver.link_statistics
     try:
-        outcome.result = run_result(
-            session.experiment, session.bench, session.loop.statistics, session.found, outcome.fault
-        )
+        outcome.result = run_result(session.experiment, meta, told, loop, session.found, outcome.fault)
     except Exception as error:  # noqa: BLE001 - a result that says why is better than none
         outcome.failures.append(f"the result is incomplete: {_defect(error)}")
         notes = [*session.found.notes, *outcome.failures]
-        outcome.result = least_result(session.bench, session.experiment, session.loop.statistics, notes, outcome.fault)
+        outcome.result = least_result(meta, loop, notes, outcome.fault)
     try:
         session.require_own_folder()
         write_result(session.folder, outcome.result, follows_links=False)
@@ -431,12 +433,6 @@ def _true_position(session: Session, t_s: Floats) -> Floats | None:
     shaft_rad = np.interp(t_s, at_s, np.asarray(path.y_rad, dtype=float))
     counts = truth.centre_counts + (shaft_rad + truth.offset_rad) / truth.rad_per_count
     return np.array([session.experiment.sensor.curve.to_rad(one) for one in counts.tolist()])
-
-
-def _supply(experiment: Experiment, bench: Bench) -> SupplyReading:
-    """The motor supply as the device measures it, beside the config's."""
-    info, drive = bench.info, experiment.drive
-    return SupplyReading(info.supply_V, info.supply_at_least, drive.supply_V, drive.bridge_drop_V)
 
 
 def _stages(experiment: Experiment) -> list[str]:

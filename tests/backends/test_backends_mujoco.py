@@ -14,7 +14,7 @@ from command_line import rig
 from intervals import reaches
 from mujoco_bench import STEP_S, Shaft
 
-from rig.backends import registry
+from rig.backends import plug_in
 from rig.model.motor import State
 
 pytestmark = [pytest.mark.long, pytest.mark.laws]
@@ -26,8 +26,8 @@ HOLD_S, DRIVE_V = 0.25, 1.2
 @pytest.fixture(autouse=True)
 def installed(monkeypatch: pytest.MonkeyPatch) -> None:
     """As a package that offers it."""
-    entry = EntryPoint("mujoco", "mujoco_bench:MUJOCO", registry.GROUP)
-    monkeypatch.setattr(registry, "entry_points", lambda group: [entry])
+    entry = EntryPoint("mujoco", "mujoco_bench:MUJOCO", plug_in.GROUP)
+    monkeypatch.setattr(plug_in, "entry_points", lambda group: [entry])
 
 
 def identified(folder: Path, shaft: Shaft) -> tuple[dict[str, Any], str]:

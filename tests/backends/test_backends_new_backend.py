@@ -14,7 +14,7 @@ from command_line import rig
 from pydantic import Field
 from simulated_bench import DEMO
 
-from rig.backends import registry
+from rig.backends import plug_in, registry
 from rig.backends.backend import Backend, Unopened, Watchdog
 from rig.backends.clock import VirtualClock
 from rig.backends.link_budget import LinkBudget
@@ -87,8 +87,8 @@ SCOPE = Scope()
 @pytest.fixture(autouse=True)
 def installed(monkeypatch: pytest.MonkeyPatch) -> None:
     """As a package that offers it."""
-    entry = EntryPoint("scope", f"{__name__}:SCOPE", registry.GROUP)
-    monkeypatch.setattr(registry, "entry_points", lambda group: [entry])
+    entry = EntryPoint("scope", f"{__name__}:SCOPE", plug_in.GROUP)
+    monkeypatch.setattr(plug_in, "entry_points", lambda group: [entry])
 
 
 def written(folder: Path, options: Any, **sections: Any) -> Path:
@@ -161,10 +161,10 @@ def test_a_run_opens_it(tmp_path: Path) -> None:
 
 
 def test_one_that_calls_itself_otherwise_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    entry = EntryPoint("other", f"{__name__}:SCOPE", registry.GROUP)
-    monkeypatch.setattr(registry, "entry_points", lambda group: [entry])
+    entry = EntryPoint("other", f"{__name__}:SCOPE", plug_in.GROUP)
+    monkeypatch.setattr(plug_in, "entry_points", lambda group: [entry])
     with pytest.raises(PlugInError, match="its name must be 'other', not 'scope'"):
-        registry.load("other")
+        plug_in.load("other")
 
 
 def test_no_name_of_a_driver_is_compared_in_rig() -> None:

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from plug_in_cards import VirtualCard
 
 from rig import config
-from rig.backends import registry
+from rig.backends import plug_in
 from rig.backends.clock import MonotonicClock, VirtualClock
 from rig.backends.driver import DriverSettings
 from rig.backends.plug_in import driver_settings_of
@@ -27,10 +27,10 @@ SOURCE = Path(__file__).parent.parent / "testing/virtual-card.yaml"
 def installed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two packages with drivers: one in virtual time, one without a watchdog."""
     entries = [
-        EntryPoint("virtual-card", "plug_in_cards:VirtualCard", registry.GROUP),
-        EntryPoint("bare-card", "plug_in_cards:BareCard", registry.GROUP),
+        EntryPoint("virtual-card", "plug_in_cards:VirtualCard", plug_in.GROUP),
+        EntryPoint("bare-card", "plug_in_cards:BareCard", plug_in.GROUP),
     ]
-    monkeypatch.setattr(registry, "entry_points", lambda group: entries)
+    monkeypatch.setattr(plug_in, "entry_points", lambda group: entries)
 
 
 def written(tmp_path: Path, **changes: object) -> Path:
@@ -87,7 +87,7 @@ def test_an_unknown_driver_lists_those_that_there_are(
 
 
 def test_with_no_plug_in_installed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(registry, "entry_points", lambda group: [])
+    monkeypatch.setattr(plug_in, "entry_points", lambda group: [])
     assert "; plug-ins installed: none; " in refused(tmp_path)[1]
     with pytest.raises(config.ConfigError, match="no driver 'virtual-card'"):
         check(SOURCE)  # nobody said where plug-ins are

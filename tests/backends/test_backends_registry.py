@@ -9,7 +9,7 @@ import pytest
 from plug_in_cards import BareCard, VirtualCard, settings
 
 from rig import ready
-from rig.backends import registry
+from rig.backends import plug_in, registry
 from rig.backends.driver import Driver, DriverSettings
 from rig.backends.plug_in import PlugIn
 from rig.backends.simulated.driver import SimulatedDriver
@@ -19,8 +19,8 @@ from rig.core.plug_ins import PlugInError
 
 
 def offer(monkeypatch: pytest.MonkeyPatch, *pairs: tuple[str, str]) -> None:
-    entries = [EntryPoint(name, value, registry.GROUP) for name, value in pairs]
-    monkeypatch.setattr(registry, "entry_points", lambda group: [e for e in entries if e.group == group])
+    entries = [EntryPoint(name, value, plug_in.GROUP) for name, value in pairs]
+    monkeypatch.setattr(plug_in, "entry_points", lambda group: [e for e in entries if e.group == group])
 
 
 def construct(name: str, settings: DriverSettings) -> Driver:
@@ -31,24 +31,24 @@ def construct(name: str, settings: DriverSettings) -> Driver:
 
 def test_a_driver_is_found_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     offer(monkeypatch, ("mycard", "plug_in_cards:VirtualCard"))
-    assert list(registry.registered()) == ["mycard"]
-    assert registry.load("mycard") is VirtualCard
+    assert list(plug_in.registered()) == ["mycard"]
+    assert plug_in.load("mycard") is VirtualCard
     assert type(construct("mycard", settings())) is VirtualCard
 
 
 def test_an_unknown_name_lists_what_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
     offer(monkeypatch, ("b", "x:B"), ("a", "x:A"))
     with pytest.raises(LookupError, match="known: a, b"):
-        registry.load("c")
+        plug_in.load("c")
     offer(monkeypatch)
     with pytest.raises(LookupError, match="none is installed"):
-        registry.load("c")
+        plug_in.load("c")
 
 
 def test_two_packages_with_one_name(monkeypatch: pytest.MonkeyPatch) -> None:
     offer(monkeypatch, ("a", "x:A"), ("a", "y:A"))
     with pytest.raises(PlugInError, match="x:A and y:A"):
-        registry.load("a")
+        plug_in.load("a")
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_two_packages_with_one_name(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_is_no_driver_class_is_refused(monkeypatch: pytest.MonkeyPatch, value: str, why: str) -> None:
     offer(monkeypatch, ("it", value))
     with pytest.raises(PlugInError, match=f"driver 'it' \\({value}\\).*{why}"):
-        registry.load("it")
+        plug_in.load("it")
 
 
 @pytest.mark.parametrize(
@@ -112,15 +112,15 @@ def test_a_package_that_is_installed_while_a_program_runs_is_found(
         folder = tmp_path / f"{name}-1.0.dist-info"
         folder.mkdir()
         (folder / "METADATA").write_text(f"Name: {name}\nVersion: 1.0\n", encoding="utf-8")
-        (folder / "entry_points.txt").write_text(f"[{registry.GROUP}]\n{name} = plug_in_cards:VirtualCard\n")
+        (folder / "entry_points.txt").write_text(f"[{plug_in.GROUP}]\n{name} = plug_in_cards:VirtualCard\n")
         os.utime(tmp_path, (len(name),) * 2)  # a file system may count too coarsely for a test
 
     monkeypatch.syspath_prepend(tmp_path)
-    assert {"first", "second"}.isdisjoint(registry.registered())
+    assert {"first", "second"}.isdisjoint(plug_in.registered())
     install("first")
-    assert "first" in registry.registered() and "second" not in registry.registered()
+    assert "first" in plug_in.registered() and "second" not in plug_in.registered()
     install("second")
-    assert registry.load("second") is VirtualCard
+    assert plug_in.load("second") is VirtualCard
 
 
 def test_a_bench_is_stopped_before_it_is_closed_and_closed_though_the_stop_fails(

@@ -15,6 +15,8 @@ import yaml
 from command_line import rig
 from rich.console import Console
 
+from rig.cli.terminal import show_details, show_estimates, show_run, tracking_words
+from rig.output.text import plain_table
 from rig.run_folder.recording.csv_file import read_csv
 from rig.run_folder.results import (
     Answer,
@@ -28,7 +30,6 @@ from rig.run_folder.results import (
 )
 from rig.run_folder.results.result import NO_ESTIMATE, Quantiles
 from rig.running.session import Outcome
-from rig.terminal import plain_table, show_details, show_estimates, show_run, tracking_words
 
 ROOT = Path(__file__).resolve().parents[2]
 SIMULATED = ROOT / "config/quick.yaml"

@@ -2,8 +2,8 @@
 
 import pytest
 
+from rig.cli.terminal import show_scatter
 from rig.run_folder.results import EstimateResult, RunResult
-from rig.terminal import show_scatter
 
 
 def result(tau_s: float) -> RunResult:

@@ -12,8 +12,8 @@ from command_line import rig
 from compared_runs import Told, write_run, write_samples
 
 import rig as api
+from rig.output.text import comparison_words
 from rig.run_folder.results.comparison import ComparisonResult, Difference, ScatterResult, TrendResult
-from rig.terminal import comparison_words
 
 DRIFTED = Told(fc_V=0.48 * 1.02)
 LAW = {"name": "dead_band", "value": 0.05, "unit": "V", "ci95": [0.04, 0.06], "bic": 30.0, "numbers": {}}

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from campaign_real.kinds import KINDS, case
+from rig.cli.terminal import show_motor_law
 from rig.config.campaign import Campaign
 from rig.core.estimators import ESTIMATORS, EstimatorEntry
 from rig.identification import Identification, identification, identify
@@ -31,7 +32,6 @@ from rig.output.report import write_report
 from rig.run_folder.recording.errors import IdentifyError
 from rig.run_folder.recording.reader import read_run
 from rig.run_folder.results import RunResult
-from rig.terminal import show_motor_law
 
 pytestmark = pytest.mark.long
 

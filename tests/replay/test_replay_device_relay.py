@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from run_copy import GOLDEN, RunCopy
 
-from rig.backends import registry
+from rig.backends import plug_in
 from rig.backends.backend import Backend
 from rig.backends.driver import RelayRules
 from rig.backends.serial.backend import SerialBackend
@@ -49,8 +49,8 @@ def run(tmp_path: Path) -> RunCopy:
 
 
 def install(monkeypatch: pytest.MonkeyPatch, backend: str) -> None:
-    entry = EntryPoint("clone", f"{__name__}:{backend}", registry.GROUP)
-    monkeypatch.setattr(registry, "entry_points", lambda group: [entry])
+    entry = EntryPoint("clone", f"{__name__}:{backend}", plug_in.GROUP)
+    monkeypatch.setattr(plug_in, "entry_points", lambda group: [entry])
 
 
 def test_its_own_rules_are_asked(run: RunCopy, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ import pytest
 from broken_cards import CAUGHT_BY
 from plug_in_cards import VirtualCard, WriteFirstCard
 
-from rig.backends import registry
+from rig.backends import plug_in
 from rig.backends.driver import Driver
 from rig.testing import conformance
 
@@ -16,8 +16,8 @@ CONFIG = Path(__file__).with_name("virtual-card.yaml")
 
 
 def offer(monkeypatch: pytest.MonkeyPatch, card: type[VirtualCard]) -> None:
-    entry = EntryPoint("virtual-card", f"{card.__module__}:{card.__qualname__}", registry.GROUP)
-    monkeypatch.setattr(registry, "entry_points", lambda group: [entry])
+    entry = EntryPoint("virtual-card", f"{card.__module__}:{card.__qualname__}", plug_in.GROUP)
+    monkeypatch.setattr(plug_in, "entry_points", lambda group: [entry])
 
 
 def pull_the_plug(driver: Driver) -> None:

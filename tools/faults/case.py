@@ -113,7 +113,7 @@ class Run:
         return next((event for event in self.events if event["kind"] == "fault"), None)
 
     @property
-    def stages(self) -> list[str]:
+    def reached(self) -> list[str]:
         """The stages that it reached."""
         return [str(event["name"]) for event in self.events if event["kind"] == "stage"]
 
@@ -259,7 +259,7 @@ def undisturbed(backend: Backend, course: Course = "relay") -> Undisturbed:
             raise RuntimeError(
                 f"{backend.key}: {len(found.rows)} rows, and only {len(injector.readings)} seen on the wire"
             )
-        if course == "run" and not any(kind_of(name) is StageKind.TRACK for name in found.stages):
+        if course == "run" and not any(kind_of(name) is StageKind.TRACK for name in found.reached):
             raise RuntimeError(f"{backend.key}: nothing was tracked: {found.output}")
         return Undisturbed(_windows(injector, found, course), found.rows, found.identification)
 
@@ -441,7 +441,7 @@ def _trouble(found: Found, row: Row, backend: Backend, stage: Stage, run: Run) -
         yield f"{shown} ({'' if run.fault is None else run.fault['detail']})"
     if found.status not in (row.status or (int(found.code != ""),)):
         yield f"exit status {found.status} with {shown}: {run.output[-300:]}"
-    if row.early and row.codes != (RUNS_ON,) and any(kind_of(name) is StageKind.RELAY for name in run.stages):
+    if row.early and row.codes != (RUNS_ON,) and any(kind_of(name) is StageKind.RELAY for name in run.reached):
         yield "a relay ran"
     if row.same and _decided(run.rows) != _decided(undisturbed(backend, stage.course).rows):
         yield "the recording differs"

@@ -66,23 +66,13 @@ class MemoryRecord(NullSink):
         return replace(of_rows, events=tuple(self._decided))
 
 
-class MemorySession(Session):
-    """A session that reads from memory."""
-
-    @override
-    def read(self) -> Recording:
-        """The rows so far."""
-        assert isinstance(self.recorder, MemoryRecord)
-        self.recording = self.recorder.recording()
-        return self.recording
-
-
 def driven(e: Experiment, bench: Bench, script: Callable[[Session], None]) -> tuple[Session, Fault | None]:
     """The session after ``script`` has run on the bench, and the fault that ended it, if one did."""
     record = MemoryRecord()
     loop = Loop(bench.driver, bench.clock, Guard(guard_settings_of(e)), record, e.period_s, StopRequest())
     nothing_asked = Findings(real_time=RealTimeReport())  # time is virtual
-    session = MemorySession(e, Path("in-memory"), bench, record, loop, RunMeta(), nothing_asked)
+    session = Session(e, Path("in-memory"), bench, record, loop, RunMeta(), nothing_asked)
+    session.reads = lambda *_: record.recording()
     try:
         script(session)
     except Fault as fault:

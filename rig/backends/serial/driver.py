@@ -32,7 +32,6 @@ from rig.backends.serial.fit import PLAIN_BOARD, Board, Expected, check_fit, mea
 from rig.backends.serial.frames import Code, DeviceState, Hello, Kind, Packet, RelaySetup, Setup, StrokesSetup
 from rig.backends.serial.introduction import refusal
 from rig.backends.serial.law_run import LawRun
-from rig.backends.serial.law_stream import LawStream
 from rig.core.calibration import (
     ALL_COUNTS,
     Calibration,
@@ -544,8 +543,9 @@ class SerialDriver:
     def _start_law(self, setup: RelaySetup | StrokesSetup) -> None:
         self._unconfirmed = None
         self._law = None
-        stream = LawStream(self.calibration, self.drive_map, self._clock, self._session, self._exchange.now_s())
-        self._law = LawRun.start(self._exchange, setup, stream)
+        law = LawRun(self._exchange, self.calibration, self.drive_map, self._clock, self._session)
+        law.start(setup)
+        self._law = law
 
     def keep(self) -> None:
         """Tell the device that the host lives. Without this its watchdog ends the law that runs there."""

@@ -1,9 +1,9 @@
-"""The report: reads a run folder, writes one self-contained report.html."""
+"""The report: reads a run folder, writes one self-contained report.html; and the page of any recordings."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ParamSpec
@@ -14,6 +14,7 @@ from rig.identification import Identification, IdentifyError, identify
 from rig.identification.verdict import PROMISE, RISK
 from rig.output.report import checked, fitted, friction_map, measured, narrowing, tables, transient, tuned_loop
 from rig.output.report.model_curves import curves_of
+from rig.output.report.simulated import picture_of
 from rig.output.report.source import ReportedRun, load
 from rig.output.report.style import AbsentError, Picture, rendered, style
 from rig.output.report.words import driven, headline, rounded
@@ -21,7 +22,7 @@ from rig.run_folder.recording.curves import write_curves
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import write_whole
 from rig.run_folder.recording.recording import Recording
-from rig.run_folder.results import LiveResult, RunResult
+from rig.run_folder.results import LiveResult, RunMeta, RunResult
 
 REPORT = "report.html"
 _Given = ParamSpec("_Given")
@@ -56,6 +57,36 @@ def write_report(
     if curves is not None and run.recording is not None:
         write_curves(run.folder, run.recording, curves)
     return path
+
+
+def write_identified(found: Identification, records: Sequence[str], path: Path) -> None:
+    """Write the page into a file. Raises CannotWriteError.
+
+    records  what was read, in words; the first names the page
+    """
+    result = RunResult(answer=found.answer, estimates=found.as_result().estimates, **found.evidence)
+    about = RunMeta(backend=", ".join(records), rehearsal=found.rehearsal or None)
+    run = ReportedRun(Path(records[0]), None, about, result, of_recordings=True)
+    spread_rad = float(np.std(np.concatenate([test.y_rad for test in found.tests]))) if found.tests else math.nan
+    with style():
+        figures = {
+            "simulated": drawn(picture_of, found, run.foot),
+            "residual": drawn(fitted.residuals, run, found.curves, spread_rad),
+        }
+    page = rendered(
+        "rig.output.report",
+        "identified.html.j2",
+        name=Path(records[0]).name,
+        rehearsal=run.rehearsal,
+        records=records,
+        headline=headline(run),
+        figures=figures,
+        estimates=tables.estimates(run),
+        motor_law=tables.motor_law(run),
+        budget=tables.budget(run),
+        notes=found.notes,
+    )
+    write_whole(path, page.encode("utf-8"))
 
 
 def _identify_unfinished(run: ReportedRun) -> tuple[ReportedRun, Identification | None]:

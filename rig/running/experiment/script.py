@@ -47,32 +47,27 @@ def run(
     series    as of ``record``
     """
     if experiment.law is not None:
-        return run_law(experiment, configured_law(experiment.law), parent, on_start, again, series)
+        what, script = _under(configured_law(experiment.law))
+    else:
+        more = [tell_apart] if experiment.identify.thorough else []
+        script = _in_turn(partial(_drive_tests, known=known), stages.identify_recorded, *more, stages.verify_models)
+        what = _named("run")
+    return record(experiment, parent, what, script, on_start, again, series=series)
 
-    more = [tell_apart] if experiment.identify.thorough else []
-    script = _in_turn(partial(_drive_tests, known=known), stages.identify_recorded, *more, stages.verify_models)
-    return record(experiment, parent, _named("run"), script, on_start, again, series=series)
+
+def run_law(experiment: Experiment, law: Timed, parent: Path) -> Outcome:
+    """The breakaway check, and then a law of the user's own, under the guard and the limits of the config."""
+    return record(experiment, parent, *_under(law), None)
 
 
-def run_law(
-    experiment: Experiment,
-    law: Timed,
-    parent: Path,
-    on_start: OnStart | None = None,
-    again: Bench | None = None,
-    series: StopFlag | None = None,
-) -> Outcome:
-    """The breakaway check, and then a law of the user's own, under the guard and the limits of the config.
-
-    again, series  as ``run``
-    """
+def _under(law: Timed) -> tuple[ScriptCall, Script]:
+    """The breakaway check, and then this law, watched."""
 
     def script(session: Session) -> None:
         with watched(session, law) as one:
             stages.drive_law(session, one)
 
-    what = ScriptCall(name="law", breakaway=BREAKAWAY_LAW, law=law.name, duration_s=law.duration_s)
-    return record(experiment, parent, what, script, on_start, again, series=series)
+    return ScriptCall(name="law", breakaway=BREAKAWAY_LAW, law=law.name, duration_s=law.duration_s), script
 
 
 def configured_law(section: LawSection) -> Timed:

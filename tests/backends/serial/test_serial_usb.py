@@ -15,9 +15,8 @@ from rig.backends.driver import Timeouts
 from rig.backends.links.usb_adapters import CHIPS, FRAME_S, Adapter, adapter_by_id, adapter_by_name
 from rig.backends.registry import connect, emulated_board
 from rig.backends.serial.driver import SerialDriver
-from rig.backends.serial.emulated.behind_usb import BehindUsb
+from rig.backends.serial.emulated.behind_usb import BehindUsb, UsbChip
 from rig.backends.serial.emulated.firmware_build import Variant
-from rig.backends.serial.emulated.usb_chip import UsbChip
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.link_budget import reading_budget, sample_to_drive_s, tick_budget
 from rig.config import Experiment
