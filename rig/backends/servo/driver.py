@@ -202,7 +202,7 @@ class ServoDriver(RegisterDriver[Ask]):
         left = leave_no_trace(self._link, self._setup, self._store)
         remarks = look(self._link, self._setup)
         if self._setup.supply_switch and person.asks is not None:
-            try_switch(self._link, self._setup, person.asks)
+            try_switch(self._link, self._setup, self._store, person.asks)
             remarks = look(self._link, self._setup)  # it has started anew
             self._is_switch_tried = True
         opened = set_up(self._link, self._setup, self._store, self._have_it_watched)
