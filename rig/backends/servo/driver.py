@@ -338,15 +338,25 @@ class ServoDriver(RegisterDriver[Ask]):
     @property
     def link_words(self) -> Mapping[str, str]:
         """Echo and return delay, by topic, in words; once it is open."""
-        setup, delay = self._setup, self._setup.model.role("return_delay")
-        delay_s = delay.scale * (self._store.load(setup.model) or {})[delay.name]
+        delay_s = self._found_delay_s
         echo = "nothing of what rig sends comes back"
         if self._bus.echoes:
             echo = "the adapter ties TX to RX: what rig sends comes back, and rig compares it"
         waits = f"the servo waits {1e6 * delay_s:g} us before it answers, twice in a tick"
-        if delay_s > setup.longest_delay_s:
+        if self.waits_s != delay_s:
+            delay = self._setup.model.role("return_delay")
             waits += f"; too long here: each run sets 0 and puts it back, two writes of the EEPROM for {delay}"
         return {"echo": echo, "return delay": waits}
+
+    @property
+    def waits_s(self) -> float:
+        """For how long the servo waits before each answer, s; once it is open."""
+        return self._found_delay_s if self._found_delay_s <= self._setup.longest_delay_s else 0.0
+
+    @property
+    def _found_delay_s(self) -> float:
+        delay = self._setup.model.role("return_delay")
+        return delay.scale * (self._store.load(self._setup.model) or {})[delay.name]
 
     # ------------------------------------------------------------------ opening and arming
 
