@@ -455,8 +455,8 @@ class ServoDriver(RegisterDriver[Ask]):
         watchdog = servo_map(self._setup.model).watchdog
         asked(self._off, timeout_s)
         if watchdog is not None:  # one that has acted holds a duty, and takes none
+            self._written = [one for one in self._written if one[0].name != "watchdog"]  # also where no answer comes
             asked(self._setting(watchdog, 0.0), timeout_s)
-            self._written = [one for one in self._written if one[0].name != "watchdog"]
             asked(self._setting(self._map.drive, 0.0), timeout_s)
 
     def _cut_off(self) -> bool:

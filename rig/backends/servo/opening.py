@@ -282,6 +282,8 @@ def switch_on(link: ServoLink, last: Callable[[], None] = lambda: None) -> None:
     """Torque on, right behind a last look: another duty than 0, or another mode, would drive the shaft at once.
 
     A servo that has lost its supply meanwhile has forgotten either; one that loses it in between is looked at anew.
+    Who else talks on this bus, as the keeper of a rig on another adapter, may change the mode right before: the torque
+    goes off again at once.
 
     last  called when all but the torque is done
     Raises Fault ARM_READBACK, DEVICE_RESET, LINK_*.
@@ -292,6 +294,11 @@ def switch_on(link: ServoLink, last: Callable[[], None] = lambda: None) -> None:
         _check_drive_is_0(one)
         last()
         one.put(link.model.roles["torque"], 1)
+        try:
+            _check_mode(one)
+        except Fault:
+            link.put(link.model.roles["torque"], 0)
+            raise
 
     link.in_one_go(on)
 

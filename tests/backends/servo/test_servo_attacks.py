@@ -93,6 +93,25 @@ def test_a_servo_that_restarts_while_it_is_armed_never_gets_its_torque(protocol:
     assert bench.driver.safe_stop() and not bench.servo.is_on
 
 
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_mode_that_another_master_changes_right_before_the_torque_takes_it_off_again(protocol: str) -> None:
+    """As the keeper of a rig on a second adapter of this bus: the servo would go to a goal of its own."""
+    bench = Bench(protocol)
+    bench.opened()
+    model, send = bench.servo.model, bench.bus.bus.send
+    torque = bench.driver._link.write_of(model.roles["torque"], 1).data
+
+    def ahead(data: bytes, t_s: float) -> None:
+        if data == torque:
+            bench.servo.put(model.roles["mode"], model.position_mode)
+        send(data, t_s)
+
+    bench.bus.bus.send = ahead  # type: ignore[method-assign]
+    with pytest.raises(Fault, match="DEVICE_RESET"):
+        bench.driver.arm(bench.limits)
+    assert not bench.servo.is_on
+
+
 @pytest.mark.parametrize("in_pause", [False, True])
 def test_a_write_of_a_duty_never_switches_a_servo_on_that_has_lost_its_mode(in_pause: bool) -> None:
     """On some servos the write of a goal does: in its own mode it would go to a goal of its own."""
