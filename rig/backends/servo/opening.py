@@ -104,7 +104,7 @@ def look(link: ServoLink, setup: ServoSetup) -> tuple[str, ...]:
 
     Raises Fault SECOND_MASTER, LINK_UNIT, SERVO_IN_USE, SERVO_SETUP, SERVO_ERROR, SERVO_SUPPLY, SERVO_HOT.
     """
-    _check_bus(link)
+    check_bus(link)
     _check_errors(link)
     _check_setup(link)
     _check_limit(link, setup)
@@ -320,7 +320,8 @@ def other_mode(link: ServoLink) -> str | None:
     return None if mode == model.pwm_mode else f"{model.role('mode')} reads {mode}, not {model.pwm_mode}"
 
 
-def _check_bus(link: ServoLink) -> None:
+def check_bus(link: ServoLink) -> None:
+    """Raise Fault SECOND_MASTER where another one talks on this bus, LINK_UNIT where two servos answer to one id."""
     link.client.wait(_ANSWERS_S)  # what the last question brings besides is no other master's
     check_alone(link)
     check_one(link)
@@ -331,7 +332,7 @@ def check_free(link: ServoLink) -> None:
 
     Rig's own torque is on in PWM mode alone. Raises Fault SERVO_IN_USE, SECOND_MASTER, LINK_UNIT.
     """
-    _check_bus(link)
+    check_bus(link)
     if link.value(link.model.roles["mode"]) != link.model.pwm_mode:
         _check_torque(link)
 
