@@ -204,7 +204,8 @@ class Driver(Protocol):
     other driver is read throughout the pauses of a run, from another thread, while nothing else uses it. A driver on a
     link that another process can inherit has an attribute ``descriptor``, the number of its open file or socket: that
     process stops the device where a law of a user's own never returns (``Backend.stopper``). What a run's end must say
-    of the device stands in an attribute ``end_words``, what `rig doctor` says of the link, by topic, in ``link_words``.
+    of the device stands in an attribute ``end_words``, what `rig doctor` says of the link, by topic, in ``link_words``;
+    a wait before each answer that no config knows, s, in ``waits_s``.
     Constructing a driver touches no device. ``rig.testing.conformance`` tests a driver against this interface.
     """
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import signal
 import sys
 import time
 from collections.abc import Callable
@@ -18,6 +17,7 @@ from rig.cli.shared import EXIT_FAILED, asks_json, fail, say_json
 from rig.cli.terminal import show_run
 from rig.config import Experiment, read
 from rig.core import person
+from rig.core.faults import Fault
 from rig.running import preflight
 
 if TYPE_CHECKING:  # scipy comes with it
@@ -64,16 +64,18 @@ def let_ask() -> None:
 
 
 def _ask_for(words: str, is_seen: Callable[[], bool]) -> bool:
-    """As of ``person.asks``. Ctrl-C ends the command at once: nothing drives yet."""
+    """As of ``person.asks``. Raises Fault INTERRUPTED where a signal asks the command to end: nothing drives yet."""
+    from rig.control.loop.stop_request import stop_on_signals
+
     click.echo(words, err=True)
-    until_s, before = time.monotonic() + _HAND_S, signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
+    until_s = time.monotonic() + _HAND_S
+    with stop_on_signals() as stop:
         while not is_seen():
+            if (reason := stop.look()) is not None:
+                raise Fault("INTERRUPTED", reason)
             if time.monotonic() > until_s:
                 return False
         return True
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def say_chip_starts(port: str | None) -> None:

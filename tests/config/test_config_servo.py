@@ -49,6 +49,8 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"daq": {"port": "emulated-chip"}}, "no emulated-chip for `driver: servo`"),
     ({"daq": {"servo": {"model": "ax-12"}}}, "no servo 'ax-12'"),
     ({"daq": {"servo": {"id": 253}}}, "252"),
+    ({"daq": {"servo": {"supply_switch": "   "}}}, "daq.servo.supply_switch: say which switch"),
+    ({"daq": {"accept_no_watchdog": "   "}}, "must be true or false"),
     ({"daq": {"baud": 250000}}, "has no 250000 baud"),
     ({"daq": {"baud": 57600}}, "too slow for the period"),
     ({"daq": {"watchdog_s": 0.05}}, "no whole number of 0.02 s"),

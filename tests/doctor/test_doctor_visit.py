@@ -45,10 +45,13 @@ def test_virtual_time_has_nothing_to_measure_and_names_what_has() -> None:
 
 
 @pytest.mark.realtime
-def test_a_device_is_met_and_timed_but_not_armed(tmp_path: Path) -> None:
-    done = doctor(config_with(tmp_path, "demo.yaml", port="emulated-realtime"), "--json")
+@pytest.mark.parametrize(("name", "words"), [
+    ("demo.yaml", "host board"), ("servo.yaml", "0.5 ms (return delay) = 1.12 ms"),
+])  # fmt: skip
+def test_a_device_is_met_and_timed_but_not_armed(name: str, words: str, tmp_path: Path) -> None:
+    done = doctor(config_with(tmp_path, name, port="emulated-realtime"), "--json")
     found = {f["topic"]: f for f in json.loads(done.stdout)["findings"]}
-    assert "host board" in found["device"]["words"]
+    assert words in found["device"]["words"] + found["round trip"]["words"]
     assert "exchanges" in found["round trip"]["words"]
     assert "ticks took" in found["period"]["words"]
 

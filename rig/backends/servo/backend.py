@@ -11,7 +11,7 @@ from rig.backends.link_budget import LinkBudget
 from rig.backends.links.usb_adapters import Adapter, adapter_delay_s
 from rig.backends.registers.backend import RegisterBackend
 from rig.backends.servo import link_budget
-from rig.backends.servo.rules import has_watchdog, servo_rules
+from rig.backends.servo.rules import has_watchdog, servo_rules, switch_to_try
 from rig.backends.servo.section import EMULATED_PORTS, ServoKeys
 from rig.config.problems import Problem
 from rig.config.schema import DeviceSetup
@@ -100,15 +100,19 @@ class ServoBackend(RegisterBackend):
             "a servo's travel limits are in this host alone: no firmware of rig's holds them. No manual says when "
             "within its step of 1 ms a servo samples and drives"
         )
-
-        if d.daq.servo is not None and d.daq.servo.attached != "nothing" and d.load is None:
+        servo = d.daq.servo
+        if servo is None:
+            return
+        if switch := switch_to_try(d, servo):
+            yield f"before it drives rig asks you, at a terminal, to open the supply's switch and close it: {switch}"
+        if servo.attached != "nothing" and d.load is None:
             yield (
                 "without section `load` rig cannot tell whether what is on the horn falls when the torque goes off: "
                 "try it by hand"
             )
-        if d.daq.servo is not None and "tick" not in d.daq.servo.table.roles:
+        if "tick" not in servo.table.roles:
             yield (
-                f"{d.daq.servo.model} tells no clock: rig asks at another place within its step of 1 ms in each tick, "
+                f"{servo.model} tells no clock: rig asks at another place within its step of 1 ms in each tick, "
                 "and takes the mean for true; what delays it besides makes tau wrong by as much"
             )
 

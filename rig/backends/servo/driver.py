@@ -202,7 +202,7 @@ class ServoDriver(RegisterDriver[Ask]):
         left = leave_no_trace(self._link, self._setup, self._store)
         remarks = look(self._link, self._setup)
         if self._setup.supply_switch and person.asks is not None:
-            try_switch(self._link, self._setup, person.asks)
+            try_switch(self._link, self._setup, self._store, person.asks)
             remarks = look(self._link, self._setup)  # it has started anew
             self._is_switch_tried = True
         opened = set_up(self._link, self._setup, self._store, self._have_it_watched)
@@ -338,15 +338,25 @@ class ServoDriver(RegisterDriver[Ask]):
     @property
     def link_words(self) -> Mapping[str, str]:
         """Echo and return delay, by topic, in words; once it is open."""
-        setup, delay = self._setup, self._setup.model.role("return_delay")
-        delay_s = delay.scale * (self._store.load(setup.model) or {})[delay.name]
+        delay_s = self._found_delay_s
         echo = "nothing of what rig sends comes back"
         if self._bus.echoes:
             echo = "the adapter ties TX to RX: what rig sends comes back, and rig compares it"
         waits = f"the servo waits {1e6 * delay_s:g} us before it answers, twice in a tick"
-        if delay_s > setup.longest_delay_s:
+        if self.waits_s != delay_s:
+            delay = self._setup.model.role("return_delay")
             waits += f"; too long here: each run sets 0 and puts it back, two writes of the EEPROM for {delay}"
         return {"echo": echo, "return delay": waits}
+
+    @property
+    def waits_s(self) -> float:
+        """For how long the servo waits before each answer, s; once it is open."""
+        return self._found_delay_s if self._found_delay_s <= self._setup.longest_delay_s else 0.0
+
+    @property
+    def _found_delay_s(self) -> float:
+        delay = self._setup.model.role("return_delay")
+        return delay.scale * (self._store.load(self._setup.model) or {})[delay.name]
 
     # ------------------------------------------------------------------ opening and arming
 
@@ -445,8 +455,8 @@ class ServoDriver(RegisterDriver[Ask]):
         watchdog = servo_map(self._setup.model).watchdog
         asked(self._off, timeout_s)
         if watchdog is not None:  # one that has acted holds a duty, and takes none
+            self._written = [one for one in self._written if one[0].name != "watchdog"]  # also where no answer comes
             asked(self._setting(watchdog, 0.0), timeout_s)
-            self._written = [one for one in self._written if one[0].name != "watchdog"]
             asked(self._setting(self._map.drive, 0.0), timeout_s)
 
     def _cut_off(self) -> bool:

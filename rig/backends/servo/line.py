@@ -23,7 +23,7 @@ from rig.backends.servo.emulated.virtual_bus import VirtualServoBus
 from rig.backends.servo.keeper import starter
 from rig.backends.servo.link_budget import adapter_of, longest_return_delay_s
 from rig.backends.servo.opening import ServoSetup
-from rig.backends.servo.rules import needs_switch
+from rig.backends.servo.rules import switch_to_try
 from rig.backends.servo.section import EMULATED_PORTS, Servo
 from rig.config.schema import DeviceSetup, ServoSensor
 from rig.core.calibration import largest_drive_in_units
@@ -67,7 +67,6 @@ def driver(d: DeviceSetup, line: Line) -> ServoDriver:
 def setup_of(d: DeviceSetup) -> ServoSetup:
     """What the config says of the servo."""
     servo = servo_of(d)
-    is_real = d.daq.port not in EMULATED_PORTS
     drive_map = replace(d.drive.map, full_units=servo.table.full_drive)
     return ServoSetup(
         model=servo.table,
@@ -80,7 +79,7 @@ def setup_of(d: DeviceSetup) -> ServoSetup:
         max_units=largest_drive_in_units(d.arming, drive_map),
         watchdog_s=d.daq.watchdog_s,
         longest_delay_s=longest_return_delay_s(d.daq, servo, d.period_s),
-        supply_switch=(servo.supply_switch or "") if is_real and needs_switch(d, servo) else "",
+        supply_switch=switch_to_try(d, servo),
     )
 
 

@@ -5,6 +5,7 @@ Nothing is written before every check has passed and the values of before are on
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -34,6 +35,8 @@ _PROOF_S: Final = 0.06  # three times the watchdog's time
 _ACTS_S: Final = 0.05  # until the proof's duty shows
 _FASTEST: Final = 255
 _SWITCH_LOOK_S, _SWITCH_LOOKS = 0.1, 3  # that must agree: one answer may be lost
+_SUPPLIED, _UNSUPPLIED, _SILENT = "has its supply", "tells that it has no supply", "is silent"
+_MARK: Final = 1  # of a register that has another value after a loss of supply, and moves nothing
 
 _ERRORS: Final = {
     "dynamixel": {0x01: "supply", 0x04: "heat", 0x08: "encoder", 0x10: "shock", 0x20: "overload"},
@@ -101,7 +104,7 @@ def look(link: ServoLink, setup: ServoSetup) -> tuple[str, ...]:
 
     Raises Fault SECOND_MASTER, LINK_UNIT, SERVO_IN_USE, SERVO_SETUP, SERVO_ERROR, SERVO_SUPPLY, SERVO_HOT.
     """
-    _check_bus(link)
+    check_bus(link)
     _check_errors(link)
     _check_setup(link)
     _check_limit(link, setup)
@@ -124,30 +127,44 @@ def objections(link: ServoLink) -> tuple[str, ...]:
     return tuple(found)
 
 
-def try_switch(link: ServoLink, setup: ServoSetup, asks: Asks) -> None:
-    """Have a person cut the supply by its switch: the servo must fall silent, or tell that it has none, and come back.
+def try_switch(link: ServoLink, setup: ServoSetup, store: BeforeStore, asks: Asks) -> None:
+    """Have a person cut the supply by its switch: the servo must start anew, or tell that it has no supply.
 
-    Raises Fault SERVO_SWITCH_UNTRIED where that is not seen in time, LINK_LOST.
+    A pulled plug of the bus makes it silent, too, but it forgets nothing: a register tells, which rig has marked.
+    Raises Fault SERVO_SWITCH_UNTRIED where that is not seen in time, LINK_*, SERVO_CHANGED, ARM_READBACK.
     """
-    id, voltage = link.bus.id, link.model.role("voltage")
+    id, voltage, marked = link.bus.id, link.model.role("voltage"), link.model.roles["marked"]
+    state, looks = "", 0
 
-    def seen(is_there: bool) -> Callable[[], bool]:
-        looks = 0
-
+    def sees(*awaited: str) -> Callable[[], bool]:
         def is_seen() -> bool:
-            nonlocal looks
+            nonlocal state, looks
             link.client.wait(_SWITCH_LOOK_S)
-            value = link.value_of(id, voltage.name)
-            has_supply = value is not None and value * voltage.scale > 0.5 * setup.supply_V
-            looks = looks + 1 if has_supply == is_there else 0
-            return looks >= _SWITCH_LOOKS
+            now, value = _SILENT, link.value_of(id, voltage.name)
+            if value is not None:
+                now = _SUPPLIED if value * voltage.scale > 0.5 * setup.supply_V else _UNSUPPLIED
+            looks = looks + 1 if now == state else 1
+            state = now
+            return looks >= _SWITCH_LOOKS and state in awaited
 
         return is_seen
 
-    if not asks(f"open the switch of the servo's supply: {setup.supply_switch}", seen(is_there=False)):
-        raise Fault("SERVO_SWITCH_UNTRIED", f"servo {id} answered on: does this switch cut its supply?")
-    if not asks(f"servo {id} has no supply: close the switch again", seen(is_there=True)):
-        raise Fault("SERVO_SWITCH_UNTRIED", f"servo {id} did not come back")
+    before = link.value(marked)
+    store.save(link.model, id, {marked: before})
+    try:
+        link.hold(marked, _MARK)
+        if not asks(f"open the switch of the servo's supply: {setup.supply_switch}", sees(_SILENT, _UNSUPPLIED)):
+            raise Fault("SERVO_SWITCH_UNTRIED", f"servo {id} answered on: does this switch cut its supply?")
+        was_silent = state == _SILENT
+        if not asks(f"servo {id} {state}: close the switch again", sees(_SUPPLIED)):
+            raise Fault("SERVO_SWITCH_UNTRIED", f"servo {id} did not come back")
+        if was_silent and link.value(marked) == _MARK:
+            words = f"servo {id} was silent, but has not started anew: a plug of its bus was out, its supply not cut"
+            raise Fault("SERVO_SWITCH_UNTRIED", words)
+    finally:
+        with contextlib.suppress(Fault):  # without an answer the file keeps it
+            link.hold(marked, before)
+            store.clear()
 
 
 def leave_no_trace(link: ServoLink, setup: ServoSetup, store: BeforeStore) -> Left:
@@ -265,6 +282,8 @@ def switch_on(link: ServoLink, last: Callable[[], None] = lambda: None) -> None:
     """Torque on, right behind a last look: another duty than 0, or another mode, would drive the shaft at once.
 
     A servo that has lost its supply meanwhile has forgotten either; one that loses it in between is looked at anew.
+    Who else talks on this bus, as the keeper of a rig on another adapter, may change the mode right before: the torque
+    goes off again at once.
 
     last  called when all but the torque is done
     Raises Fault ARM_READBACK, DEVICE_RESET, LINK_*.
@@ -275,6 +294,11 @@ def switch_on(link: ServoLink, last: Callable[[], None] = lambda: None) -> None:
         _check_drive_is_0(one)
         last()
         one.put(link.model.roles["torque"], 1)
+        try:
+            _check_mode(one)
+        except Fault:
+            link.put(link.model.roles["torque"], 0)
+            raise
 
     link.in_one_go(on)
 
@@ -296,7 +320,8 @@ def other_mode(link: ServoLink) -> str | None:
     return None if mode == model.pwm_mode else f"{model.role('mode')} reads {mode}, not {model.pwm_mode}"
 
 
-def _check_bus(link: ServoLink) -> None:
+def check_bus(link: ServoLink) -> None:
+    """Raise Fault SECOND_MASTER where another one talks on this bus, LINK_UNIT where two servos answer to one id."""
     link.client.wait(_ANSWERS_S)  # what the last question brings besides is no other master's
     check_alone(link)
     check_one(link)
@@ -307,7 +332,7 @@ def check_free(link: ServoLink) -> None:
 
     Rig's own torque is on in PWM mode alone. Raises Fault SERVO_IN_USE, SECOND_MASTER, LINK_UNIT.
     """
-    _check_bus(link)
+    check_bus(link)
     if link.value(link.model.roles["mode"]) != link.model.pwm_mode:
         _check_torque(link)
 

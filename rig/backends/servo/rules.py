@@ -48,6 +48,12 @@ def needs_switch(d: DeviceSetup, servo: Servo) -> bool:
     return servo.attached == "joint" and not _is_proven(d, servo)
 
 
+def switch_to_try(d: DeviceSetup, servo: Servo) -> str:
+    """The switch that a person tries before the servo drives, in words; empty: none."""
+    is_real = d.daq.port not in EMULATED_PORTS
+    return (servo.supply_switch or "") if is_real and needs_switch(d, servo) else ""
+
+
 def _is_proven(d: DeviceSetup, servo: Servo) -> bool:
     """Whether nothing drives without a watchdog that works."""
     return has_watchdog(servo) and not d.daq.accept_no_watchdog

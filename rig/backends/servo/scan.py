@@ -12,7 +12,7 @@ from rig.backends.registers.bus import BusClient
 from rig.backends.servo.before import BeforeStore, put_back
 from rig.backends.servo.bus import PING_S, Ask, ServoLink, servo_link
 from rig.backends.servo.models import MODELS, ServoModel, models_of
-from rig.backends.servo.opening import check_free, check_one, check_startup, objections
+from rig.backends.servo.opening import check_bus, check_free, check_startup, objections
 from rig.backends.servo.packets import LAST_ID
 from rig.core.faults import Fault
 
@@ -141,9 +141,9 @@ def known_servo(port: Transport, id: int, baud: int) -> ServoLink:
 def reboot(port: Transport, link: ServoLink) -> None:
     """Start a servo anew, and wait until it answers.
 
-    Raises Fault LINK_TIMEOUT, SERVO_REFUSED, LINK_UNIT; SERVO_SETUP for one that would drive then.
+    Raises Fault LINK_TIMEOUT, SERVO_REFUSED, SECOND_MASTER, LINK_UNIT; SERVO_SETUP for one that would drive then.
     """
-    check_one(link)
+    check_bus(link)
     check_startup(link)
     client = BusClient[Ask](port, link.bus)
     try:
@@ -161,9 +161,9 @@ def reboot(port: Transport, link: ServoLink) -> None:
 def set_baud(opened: Opened, link: ServoLink, baud: int) -> None:
     """Have a servo speak at another baud from now on, kept without supply; then look for it there.
 
-    Raises Fault SERVO_IN_USE, LINK_UNIT, CONFIG_MISMATCH for a baud that it has not, LINK_TIMEOUT.
+    Raises Fault SERVO_IN_USE, SECOND_MASTER, LINK_UNIT, CONFIG_MISMATCH for a baud that it has not, LINK_TIMEOUT.
     """
-    check_one(link)
+    check_bus(link)
     model, id = link.model, link.bus.id
     index = next((index for index, one in model.bauds.items() if one == baud), None)
     if index is None:

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator
+from pydantic import AfterValidator, Field, field_validator
 
 from rig.backends.links.usb_adapters import Adapter
 from rig.backends.servo.models import MODELS, ServoModel
 from rig.core.section import Section
 
 EMULATED_PORTS = ("emulated", "emulated-realtime")
+
+
+def _in_words(switch: str) -> str:
+    if not re.search(r"\w\w", switch):
+        raise ValueError("say which switch it is, such as: the red one")
+    return switch
 
 
 class Servo(Section):
@@ -28,7 +35,7 @@ class Servo(Section):
     attached: Literal["nothing", "load", "joint"] = Field(
         "nothing", description="to the horn: nothing; a load that reaches no stop and no hand; or a joint with stops"
     )
-    supply_switch: Annotated[str, Field(min_length=3, max_length=60)] | None = Field(
+    supply_switch: Annotated[str, Field(max_length=60), AfterValidator(_in_words)] | None = Field(
         None, description="the switch in the servo's supply, in your words: rig has you try it"
     )
     adapter: Adapter | None = Field(None, description="between USB and the bus; default: by the port's name")

@@ -180,14 +180,18 @@ def with_config(experiment: Experiment, run_folder: Path, seconds: float = SECON
             with real_time(real_time_of(experiment)):
                 number = _number(seconds, experiment.period_s)
                 ticks = run_ticks(bench.clock, experiment.period_s, number, bench.driver.read)
+            waits_s: float = getattr(bench.driver, "waits_s", 0.0)
     except Fault as fault:
         detail = f" ({fault.detail})" if fault.detail else ""
         yield bad("device", f"{fault.code}: {fault.cause}{detail}", fault.cure)
         return
     yield wake_ups(ticks)
     reading = backend.reading_budget(d)
+    drives_s = backend.budget(d).total_s - reading.total_s + waits_s  # a second exchange, or none where nothing waits
+    if waits_s:
+        reading = reading._replace(terms=(*reading.terms, ("return delay", waits_s)))
     yield round_trip(ticks, reading.total_s, reading.written if reading.terms else "")
-    yield verdict(ticks, backend.budget(d).total_s - reading.total_s)
+    yield verdict(ticks, drives_s)
 
 
 def _number(seconds: float, period_s: float) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -24,7 +24,7 @@ from rig.backends.servo.driver import ServoDriver
 from rig.backends.servo.emulated.faults import ReplyFault
 from rig.backends.servo.facts import facts
 from rig.backends.servo.guardian import Guardian
-from rig.backends.servo.scan import reboot, restore
+from rig.backends.servo.scan import reboot, restore, set_baud
 from rig.core.faults import Fault
 from rig.core.link_turn import turn_on
 
@@ -91,6 +91,25 @@ def test_a_servo_that_restarts_while_it_is_armed_never_gets_its_torque(protocol:
         bench.driver.arm(bench.limits)
     assert restarted and bench.wrong() == [] and bench.servo.truth().y_rad == stood_rad
     assert bench.driver.safe_stop() and not bench.servo.is_on
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_mode_that_another_master_changes_right_before_the_torque_takes_it_off_again(protocol: str) -> None:
+    """As the keeper of a rig on a second adapter of this bus: the servo would go to a goal of its own."""
+    bench = Bench(protocol)
+    bench.opened()
+    model, send = bench.servo.model, bench.bus.bus.send
+    torque = bench.driver._link.write_of(model.roles["torque"], 1).data
+
+    def ahead(data: bytes, t_s: float) -> None:
+        if data == torque:
+            bench.servo.put(model.roles["mode"], model.position_mode)
+        send(data, t_s)
+
+    bench.bus.bus.send = ahead  # type: ignore[method-assign]
+    with pytest.raises(Fault, match="DEVICE_RESET"):
+        bench.driver.arm(bench.limits)
+    assert not bench.servo.is_on
 
 
 @pytest.mark.parametrize("in_pause", [False, True])
@@ -201,7 +220,15 @@ def test_a_torque_that_is_refused_for_an_error_is_told_by_its_name(protocol: str
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_nothing_is_put_back_while_another_master_talks(protocol: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("what", [
+    lambda bench, link: restore(link, bench.store),
+    lambda bench, link: reboot(bench.bus, link),  # its torque would go: an arm that it holds falls
+    lambda bench, link: set_baud(lambda baud: nullcontext(bench.bus), link, 500_000),
+], ids=["restore", "reboot", "baud"])  # fmt: skip
+def test_nothing_is_put_back_while_another_master_talks(
+    what: Callable[[Bench, ServoLink], object], protocol: str, tmp_path: Path
+) -> None:
+    """Nor is that servo rebooted, nor given another baud."""
     bench = Bench(protocol, store=BeforeStore(tmp_path / "servo.json"))
     bench.opened()
     link, codec = bench.driver._link, dynamixel if protocol == "dynamixel" else feetech
@@ -209,7 +236,7 @@ def test_nothing_is_put_back_while_another_master_talks(protocol: str, tmp_path:
     for k in range(6):
         bench.bus.bus.another_master(codec.ping(BYSTANDERS[0]), bench.bus.now_s() + 0.0053 + 0.01 * k)
     with pytest.raises(Fault, match="SECOND_MASTER"):
-        restore(link, bench.store)
+        what(bench, link)
     own = [frame for who, frame in bench.bus.bus.log[written:] if frame.id == bench.own.id]
     assert own == [] and bench.store.load(link.model)
 

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import math
+import os
+import signal
 from collections.abc import Callable
 
 import pytest
+from rich.console import Console
 from servo_bench import PROTOCOLS, Bench
 from test_servo_opening import writes
 
+from rig.backends.servo.backend import SERVO
+from rig.backends.servo.emulated.faults import ReplyFault
 from rig.backends.servo.line import setup_of
+from rig.cli import driving
+from rig.control.loop.stop_request import stop_on_signals
 from rig.core import person
 from rig.core.faults import Fault
 
@@ -16,17 +24,24 @@ SWITCH = {"supply_switch": "the red one"}
 
 
 class Hand:
-    """Does what it is asked for, unless it ``forgets`` that word; in virtual time it has 20 looks."""
+    """Does what it is asked for, unless it ``forgets`` that word; in virtual time it has 20 looks.
 
-    def __init__(self, bench: Bench, forgets: str = "nothing") -> None:
-        self.bench, self.forgets = bench, forgets
+    pulls  in place of the switch a plug of the bus
+    """
+
+    def __init__(self, bench: Bench, forgets: str = "nothing", *, pulls: bool = False) -> None:
+        self.bench, self.forgets, self.pulls = bench, forgets, pulls
         self.asked: list[str] = []
 
     def __call__(self, words: str, is_seen: Callable[[], bool]) -> bool:
-        assert writes(self.bench) == []
+        assert len(writes(self.bench)) == 1 and not self.bench.servo.is_on
         self.asked.append(words)
         if self.forgets not in words:
-            self.bench.bus.power_off() if "open" in words else self.bench.bus.power_cycle()
+            opens = "open" in words
+            if self.pulls:
+                self.bench.bus.bus.reply_fault = ReplyFault("deaf", after_s=-math.inf) if opens else None
+            else:
+                self.bench.bus.power_off() if opens else self.bench.bus.power_cycle()
         return any(is_seen() for _ in range(20))
 
 
@@ -49,17 +64,24 @@ def test_the_switch_is_opened_and_closed_before_anything_is_written(
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
-@pytest.mark.parametrize("forgets", ["open", "close"])
+@pytest.mark.parametrize(("forgets", "pulls", "words"), [
+    ("open", False, "answered on"),
+    ("close", False, "did not come back"),
+    ("nothing", True, "a plug of its bus was out"),
+])  # fmt: skip
 def test_a_switch_that_cuts_nothing_or_stays_open_ends_it(
-    forgets: str, protocol: str, monkeypatch: pytest.MonkeyPatch
+    forgets: str, pulls: bool, words: str, protocol: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench = Bench(protocol, setup=SWITCH)
-    monkeypatch.setattr(person, "asks", Hand(bench, forgets))
-    with pytest.raises(Fault, match="SERVO_SWITCH_UNTRIED"):
+    before = bench.registers()
+    monkeypatch.setattr(person, "asks", Hand(bench, forgets, pulls=pulls))
+    with pytest.raises(Fault, match=f"SERVO_SWITCH_UNTRIED.*{words}"):
         bench.opened()
     bench.driver.safe_stop()
     bench.driver.close()
-    assert writes(bench) == []
+    is_off = forgets == "close"
+    assert bench.registers() == before and (bench.store.load(bench.setup.model) is not None) == is_off
+    assert len(writes(bench)) == (1 if is_off else 2) and bench.servo.eeprom_writes.total() == 0
 
 
 def test_a_supply_that_is_as_good_as_gone_counts_as_cut(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -86,6 +108,26 @@ def test_where_nobody_can_be_asked_it_opens_and_does_not_arm(protocol: str) -> N
     bench.driver.close()
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_the_question_at_once(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(person, "asks", None)
+    monkeypatch.setattr(Console, "is_terminal", True)
+    monkeypatch.setattr(driving, "asks_json", lambda: False)
+    driving.let_ask()
+    looks = []
+
+    def is_seen() -> bool:
+        looks.append(number)
+        os.kill(os.getpid(), number)
+        return len(looks) == 2
+
+    with stop_on_signals() as run:
+        assert person.asks is not None
+        with pytest.raises(Fault, match=f"INTERRUPTED.*{signal.Signals(number).name}"):
+            person.asks("open it", is_seen)
+    assert len(looks) == 1 and run.reason is None
+
+
 @pytest.mark.parametrize(("protocol", "port", "attached", "accepts", "needed"), [
     ("feetech", "/dev/ttyACM0", "joint", True, True),
     ("feetech", "/dev/ttyACM0", "load", True, False),
@@ -98,4 +140,5 @@ def test_who_must_try_it(protocol: str, port: str, attached: str, accepts: bool,
     assert e.daq.servo is not None
     servo = e.daq.servo.model_copy(update={"attached": attached, "supply_switch": "the red one"})
     daq = e.daq.model_copy(update={"port": port, "accept_no_watchdog": accepts, "servo": servo})
-    assert bool(setup_of(e.model_copy(update={"daq": daq}).device).supply_switch) == needed
+    d = e.model_copy(update={"daq": daq}).device
+    assert bool(setup_of(d).supply_switch) == needed == any("rig asks you" in note for note in SERVO.notes(d))

@@ -53,6 +53,7 @@ ROLES: Mapping[str, str] = {
     "watchdog": "bus_watchdog",
     "tick": "realtime_tick",
     "slope": "pwm_slope",
+    "marked": "profile_velocity",  # 0 after its supply was cut
     "shadow_id": "secondary_id",
     "drive_mode": "drive_mode",
     "shutdown": "shutdown",

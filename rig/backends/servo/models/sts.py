@@ -42,6 +42,7 @@ ROLES: Mapping[str, str] = {
     "temperature": "present_temperature",
     "errors": "status",
     "lock": "lock",
+    "marked": "torque_limit",  # that of max_torque after its supply was cut
     "phase": "phase",
     "protective_torque": "protective_torque",
     "protection_time": "protection_time",
