@@ -138,7 +138,7 @@ def test_a_log_with_gaps_is_fitted_part_by_part() -> None:
     assert len(found.tests) > 2 and any("gaps" in note for note in found.notes)
 
 
-@pytest.mark.parametrize("scatter", ["jitter", "bunches", "whole ms", "none"])
+@pytest.mark.parametrize("scatter", ["jitter", "bunches", "long bunches", "whole ms", "none"])
 def test_stamps_that_scatter_about_even_rows_are_evened(scatter: str) -> None:
     """As those of a computer that receives the rows: tau of a relay's record was 56 % off beside 16 %."""
     random = np.random.default_rng(5)
@@ -147,6 +147,10 @@ def test_stamps_that_scatter_about_even_rows_are_evened(scatter: str) -> None:
     stamps = {
         "jitter": t_s + late_s,
         "bunches": t_s[np.arange(800) // 4 * 4] + 1e-4 * (np.arange(800) % 4),
+        "long bunches": np.where(
+            np.arange(800) // 30 % 3 == 0, t_s[np.minimum(np.arange(800) // 30 * 30 + 29, 799)], t_s
+        )
+        + 1e-5 * (np.arange(800) % 30),
         "whole ms": np.round(0.5 * t_s, 3),  # of rows 2.5 ms apart
         "none": t_s,
     }[scatter]
