@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from rig.core.signals import BenchDelay
 from rig.run_folder.recording.errors import RecordingError
-from rig.run_folder.recording.log_format import LARGEST
 from rig.run_folder.recording.sample_columns import COLUMNS, KINDS, SampleRow
 from rig.run_folder.recording.servo_law import OwnLoop
 from rig.run_folder.results import MeasuredDelay, RunEvent, RunMeta
@@ -30,6 +29,7 @@ MIN_ROWS: Final = 3
 ONE_TICK, STANDS, SLOW = 0.2, 0.1, 1.5
 # Periods by which stamps of even rows scatter about where they belong; or in each part of the rows one is on time
 FROM_LINE, ON_TIME, TIMED_PARTS = 8.0, 1.0, 10
+LATEST_S: Final = 1e12
 EVENTS: Final = "events.jsonl"
 
 
@@ -219,7 +219,7 @@ def even_times_s(t_s: Floats) -> Floats | None:
 
     Then no stamp is far from where it belongs, or in each part of the record the earliest ones are.
     """
-    if t_s.size < TIMED_PARTS or not np.abs(t_s).max() < LARGEST:
+    if t_s.size < TIMED_PARTS or not np.abs(t_s).max() < LATEST_S:
         return None
     rows = np.arange(t_s.size, dtype=np.float64)
     line = np.polynomial.Polynomial.fit(rows, t_s, 1)
