@@ -126,6 +126,17 @@ def test_runs_in_a_file_without_a_time_begin_behind_a_greeting_or_where_a_counte
         assert any("3 runs, one after the other" in note for note in runs[0].notes)
 
 
+def test_a_drive_whose_middle_is_0_V_is_refused_with_what_to_subtract(tmp_path: Path, bench: Bench) -> None:
+    """K was twice as large as it is, called exact: full drive is half of the range."""
+    path = log_of(tmp_path, {"ms": bench.ms, "pwm": 512.0 + 2.0 * bench.pwm, "counts": bench.counts})
+    with pytest.raises(RecordingError, match=r"evenly about 512, half of 1023.*subtract 512"):
+        read(path, replace(COUNTED, full=1023))
+    # sizes without a sign may lie so, too, and so may a drive of one way
+    unsigned = np.where(np.abs(bench.pwm) > 100.0, 155.0, 100.0)
+    for counts in (bench.counts, np.cumsum(unsigned)):
+        assert read(log_of(tmp_path, {"ms": bench.ms, "pwm": unsigned, "counts": counts}), COUNTED).u_V.min() > 0.0
+
+
 @pytest.mark.parametrize("bits", [8, 16, 32])
 def test_negative_drives_that_were_kept_as_unsigned_numbers_get_their_sign(
     tmp_path: Path, bench: Bench, bits: int

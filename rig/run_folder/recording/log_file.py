@@ -41,6 +41,9 @@ from rig.run_folder.recording.servo_law import OwnLoop, ServoLaw
 _LONGEST_PERIOD_S, _SHORTEST_PERIOD_S = 0.5, 20e-6  # between samples; rig/identification/plausibility.py refuses others
 _FEWEST_ROWS = 22  # fewer are no recording to be fitted
 _SIGNED = 0.05  # of the largest drive: a smaller negative one may be noise of a size
+# Of a drive whose middle is 0 V: of full drive, how far that is from the half; of all motion, the way back; and how
+# drive and motion are correlated
+_HALF, _TO_AND_FRO, _TURNS = 0.02, 0.1, 0.4
 _OVER = 1.001  # of full drive: what rounding may show
 _FULL: Final = (255, 1023, 4095, 65535)  # usual numbers for full drive
 
@@ -88,6 +91,8 @@ def read_log(path: Path, log: LogFormat) -> list[Recording]:
         raw["t_s"] = np.searchsorted(sorted([*text.rows, *text.torn]), rows).astype(np.float64)
     supply_V = log.supply_V
     if log.servo is None:
+        if log.direction is None and "y_rad" in raw:
+            _refuse_middle(path, raw["u_V"], raw["y_rad"], log.most(choices["drive"].unit), rows)
         raw["u_V"] = _drive_V(path, raw["u_V"], choices["drive"], log, rows, notes)
         if log.direction is not None:
             words = _words(path, text, text.line if has_names else None, rows, "direction", log.direction)
@@ -296,6 +301,22 @@ def _drive_V(path: Path, u: Floats, one: LogColumn, log: LogFormat, rows: Sequen
             rows[k],
         )
     return np.asarray(log.scale("drive", one.unit) * u)
+
+
+def _refuse_middle(path: Path, u: Floats, y: Floats, full: float | None, rows: Sequence[int]) -> None:
+    """Refuse a drive that lies evenly about half of full drive, is never near 0, and turns the shaft to and fro."""
+    middle = 0.5 * (float(u.min()) + float(u.max()))
+    if full is None or u.size < _FEWEST_ROWS or u.min() < _SIGNED * full or abs(middle - 0.5 * full) > _HALF * full:
+        return
+    moved = np.diff(y)
+    moved = np.where(np.isfinite(moved), moved, 0.0)
+    to_and_fro = min(float(moved[moved > 0.0].sum()), -float(moved[moved < 0.0].sum()))
+    away = float(np.hypot.reduce(u[:-1] - middle) * np.hypot.reduce(moved))
+    if to_and_fro > _TO_AND_FRO * float(np.abs(moved).sum()) and abs(float((u[:-1] - middle) @ moved)) > _TURNS * away:
+        raise RecordingError(
+            path, f"the drive lies evenly about {middle:g}, half of {full:g}, and turns the shaft both ways: its 0 V",
+            f"subtract {middle:g} from it, and say that half as full drive", rows[0],
+        )  # fmt: skip
 
 
 def _runs(
