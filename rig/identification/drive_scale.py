@@ -5,11 +5,14 @@ taken to be, that does what a viscous friction of -gain x d would do: tau and K 
 no record shows it. So do I and D gains that are not 0. So do goals that are written, or positions that are read, later
 than the log says: the fitted delay shows that something is late, and not what. Goals that jump late give full duty the
 wrong way meanwhile, which a fit takes for friction.
+
+A filter in the readings that was found leaves something unknown, too: `by_filter`.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from rig.identification.motor_law import GRADES, NOT_KNOWN
@@ -20,6 +23,8 @@ from rig.run_folder.results import Answer, GradedNumber, known
 # of the share of tau and K, where something is shown to be late: with goals that jump, 8 to 15 ms late, f_c was off by
 # up to 2.7 times it in simulations
 OF_FRICTION: Final = 3.0
+# Of the time constant of a filter: of 50 ms 1 to 2.5 ms were missing, behind velocities in steps of 10 rpm, or noise
+OF_FILTER: Final = 0.05
 LATE_S: Final = 1e-3  # by which the position may be older or newer than the middle of its step, at 95 %; assumption
 
 
@@ -31,13 +36,6 @@ def by_own_loop(answer: Answer, loop: OwnLoop) -> Answer:
     unsure, late = scale.high / scale.middle - 1.0, abs(known(answer.K_rad_s_V)) * loop.gain_V_rad * late_s
     late = late if math.isfinite(late) else 0.0
     rubs = OF_FRICTION * late if late_s > LATE_S else 0.0
-    u95, absolute, grade = dict(answer.u95 or {}), dict(answer.u95_absolute or {}), dict(answer.grade or {})
-    for name, share in {"tau_s": late, "K_rad_s_V": math.hypot(unsure, late), "fc_V": math.hypot(unsure, rubs)}.items():
-        value = known(answer.value(name))
-        for halves in (u95, absolute):
-            halves[name] = _wider(halves.get(name), share * abs(value)) if share > 0.0 else halves.get(name)
-        if name in grade:
-            grade[name] = _graded(grade[name], value, u95[name])
     reasons = []
     if unsure > 0.0:
         reasons.append(
@@ -63,6 +61,36 @@ def by_own_loop(answer: Answer, loop: OwnLoop) -> Answer:
             "an I or D of the servo's loop that is not 0 makes tau and K wrong, and nothing shows it: "
             "say what it had, --gain P,I,D"
         )
+    return _widened(
+        answer, {"tau_s": late, "K_rad_s_V": math.hypot(unsure, late), "fc_V": math.hypot(unsure, rubs)}, reasons
+    )
+
+
+def by_filter(answer: Answer, lag_s: float) -> Answer:
+    """The answer with what a filter of this time constant in its readings, found and undone, leaves unknown in tau.
+
+    What is missing in the filter's time constant is too much in tau: a record shows their sum.
+    """
+    tau_s = abs(known(answer.value("tau_s")))
+    share = OF_FILTER * lag_s / tau_s if answer.u95 and tau_s > 0.0 else 0.0
+    reasons = []
+    if share > ASKED:
+        reasons.append(
+            f"a filter of {1e3 * lag_s:.3g} ms in the readings makes tau up to {in_percent(share)} wrong: log the "
+            "position, or the velocity unfiltered"
+        )
+    return _widened(answer, {"tau_s": share}, reasons)
+
+
+def _widened(answer: Answer, shares: Mapping[str, float], reasons: Sequence[str]) -> Answer:
+    """The answer with numbers that may be off by these shares of themselves, too; doubtful if there are reasons."""
+    u95, absolute, grade = dict(answer.u95 or {}), dict(answer.u95_absolute or {}), dict(answer.grade or {})
+    for name, share in shares.items():
+        value = known(answer.value(name))
+        for halves in (u95, absolute):
+            halves[name] = _wider(halves.get(name), share * abs(value)) if share > 0.0 else halves.get(name)
+        if name in grade:
+            grade[name] = _graded(grade[name], value, u95[name])
     verdict = "doubtful" if reasons and answer.verdict == "ok" else answer.verdict
     return answer.model_copy(
         update={

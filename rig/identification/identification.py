@@ -16,7 +16,7 @@ from rig.identification.agreement import are_one_motor, disagreement, estimates_
 from rig.identification.breakaway import StaticFriction, breakaway
 from rig.identification.clipped_drive import clipped, clipped_at_V
 from rig.identification.departures.laws import LEVEL_EACH
-from rig.identification.drive_scale import by_own_loop
+from rig.identification.drive_scale import by_filter, by_own_loop
 from rig.identification.estimate import VERDICTS, Estimate
 from rig.identification.estimator import Estimator
 from rig.identification.friction_map import FrictionMap, friction_map
@@ -78,6 +78,7 @@ class Identification:
     notes       rows used, how the gains were found, what was left out and why
     rehearsal   whether a recording is a rehearsal: its motor was made up
     own_loop    of a servo that made a recording; None: volts are volts
+    filter_s    time constant of a filter in the readings that was undone, s; 0: there is none
     """
 
     estimates: dict[str, Estimate] = field(default_factory=dict)
@@ -92,6 +93,7 @@ class Identification:
     notes: list[str] = field(default_factory=list)
     rehearsal: bool = False
     own_loop: OwnLoop | None = None
+    filter_s: float = 0.0
 
     def as_result(self) -> IdentificationResult:
         """As `rig identify --json` prints it. result.json has the same names."""
@@ -114,6 +116,8 @@ class Identification:
         law, largest_V = self.motor_law, largest_drive_V(self.tests) if self.tests else 0.0
         found = {method: estimate.as_result() for method, estimate in self.estimates.items()}
         answer = answer_of(found) if law is None else law.answer(found, self.leading, largest_V)
+        if answer is not None and self.filter_s > 0.0:
+            answer = by_filter(answer, self.filter_s)
         return answer if answer is None or self.own_loop is None else by_own_loop(answer, self.own_loop)
 
     @property
@@ -250,6 +254,7 @@ def _identified(asked: _Asked, data: Measurements) -> Identification:
             method: replace(e.judged("doubtful", *stamps, *objections), reasons=(*stamps, *e.reasons, *objections))
             for method, e in found.estimates.items()
         }
+    found.filter_s = data.filter_s
     static = _add_breakaway(recordings, without, found)
     if asked.choose_law:
         _add_motor_law(data, found, each, static, any(map(_was_known, recordings)))
@@ -322,6 +327,7 @@ def _takes_change(data: Measurements, estimate: Estimate | None) -> bool:
         if order * lag_s < MEAN_OF_ROW * max(test.period_s for test in data.tests):
             note = "the readings lag by half a row, as velocities that are summed do: undone before the fit"
         data.take(filtered.undone, note)
+        data.filter_s = order * lag_s
     return math.isfinite(limit_V) or filtered is not None
 
 

@@ -40,6 +40,7 @@ class Measurements:
     changes     one sentence for each change of what plain files say before the fit; also in ``notes``
     notes       what was left out or corrected, how gains and cycles were found
     has_searches  whether gain searches count as tests beside others
+    filter_s    time constant of a filter in the readings that was undone, s; 0: there is none
     """
 
     tests: list[TimeSeries] = field(default_factory=list)
@@ -56,6 +57,7 @@ class Measurements:
     changes: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     has_searches: bool = False
+    filter_s: float = 0.0
 
     @property
     def settled(self) -> list[Cycle]:

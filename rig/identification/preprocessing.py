@@ -8,12 +8,11 @@ import numpy as np
 
 from rig.core.signals import BenchDelay
 from rig.run_folder.recording.errors import IdentifyError
-from rig.run_folder.recording.recording import Floats, Recording
+from rig.run_folder.recording.recording import Floats, Recording, even_times_s
 from rig.run_folder.recording.series import FEWEST_ROWS, RECORD_MORE, TIMES_ERROR_S, TimeSeries, steps_of
 from rig.run_folder.recording.stage import Stage
 
 SMOOTHER = 0.5  # noise of the sensor, or roughness, at even times over that at the own ones, at most
-FROM_LINE = 8.0  # periods: no stamp of even rows is farther from where it belongs, nor of those that come in bunches
 
 
 @dataclass(frozen=True)
@@ -146,14 +145,11 @@ def evened(test: TimeSeries) -> tuple[TimeSeries, list[str]]:
 
     Rows may come evenly and their stamps scatter about that, as those of a computer that receives them.
     """
-    if test.t_u_s is not None or test.edges is not None:
+    even_s = even_times_s(test.t_s)
+    if test.t_u_s is not None or test.edges is not None or even_s is None:
         return test, []
-    rows = np.arange(len(test), dtype=np.float64)
-    even_s = np.polynomial.Polynomial.fit(rows, test.t_s, 1)(rows)
-    off_s, period_s = test.t_s - even_s, float(even_s[1] - even_s[0])
-    even = replace(test, t_s=even_s)
-    smooth = even.noise_rad() <= SMOOTHER * test.noise_rad() or _roughness(even) <= SMOOTHER * _roughness(test)
-    if np.abs(off_s).max() > FROM_LINE * period_s or not smooth:
+    off_s, period_s, even = test.t_s - even_s, float(even_s[1] - even_s[0]), replace(test, t_s=even_s)
+    if even.noise_rad() > SMOOTHER * test.noise_rad() and _roughness(even) > SMOOTHER * _roughness(test):
         return test, []
     said = (
         f"{test.name}: the time stamps scatter by {1e3 * float(np.std(off_s)):.2g} ms about even times, "

@@ -71,6 +71,19 @@ def test_a_clock_that_stands_is_refused_with_the_period_to_type(tmp_path: Path, 
     same(read(path, replace(COUNTED, time=None, period_s=parse_period("5ms"))), bench)
 
 
+@pytest.mark.parametrize("late", ["the same", "back"])
+def test_stamps_that_came_in_bursts_are_refused_for_that_with_the_period_to_type(
+    tmp_path: Path, bench: Bench, late: str
+) -> None:
+    """They were called a clock that is too coarse, or rows to be put in order."""
+    burst = np.arange(bench.ms.size) // 6 % 4 == 0
+    back = np.where(burst, bench.ms + 30.0, bench.ms)
+    last = np.where(burst, bench.ms[np.minimum(np.arange(bench.ms.size) // 6 * 6 + 5, bench.ms.size - 1)], bench.ms)
+    path = log_of(tmp_path, {"ms": last if late == "the same" else back, "pwm": bench.pwm, "counts": bench.counts})
+    with pytest.raises(RecordingError, match=r"stamps late, or in bursts.*--period (5|4.999)ms"):
+        read(path, COUNTED)
+
+
 def test_rows_that_are_said_twice_count_once(tmp_path: Path, bench: Bench) -> None:
     columns = {"ms": bench.ms, "pwm": bench.pwm, "counts": bench.counts}
     found = read(log_of(tmp_path, {name: np.repeat(values, 2) for name, values in columns.items()}), COUNTED)
@@ -88,6 +101,40 @@ def test_a_log_without_a_time_takes_the_period_of_its_rows(tmp_path: Path, bench
             parse_period(text)
     with pytest.raises(LogFormatError, match="both given"):
         replace(COUNTED, period_s=0.005)
+
+
+def test_runs_in_a_file_without_a_time_begin_behind_a_greeting_or_where_a_counter_or_the_position_does(
+    tmp_path: Path, bench: Bench
+) -> None:
+    """As one run, tau of nine was sixty times too large, or refused for a jump to be unwrapped."""
+    cut = 200  # at full speed
+    pwm, counts = (np.concatenate((one[:cut], one, one)) for one in (bench.pwm, bench.counts))
+    goes_on = np.concatenate((bench.counts[:cut], bench.counts + counts[cut - 1], bench.counts + counts[cut - 1]))
+    row = np.concatenate((np.arange(cut), np.arange(bench.pwm.size), np.arange(bench.pwm.size))).astype(float)
+    log = replace(COUNTED, time=None, period_s=PERIOD_S)
+    lines = log_of(tmp_path, {"pwm": pwm, "counts": goes_on}).read_text().splitlines()
+    greeted = "\n".join([*lines[: cut + 1], "ready", *lines[cut + 1 : cut + 1201], lines[0], *lines[cut + 1201 :], ""])
+    files = (
+        log_of(tmp_path, {"pwm": pwm, "counts": counts}).read_text(),
+        log_of(tmp_path, {"row": row, "pwm": pwm, "counts": goes_on}).read_text(),
+        greeted,
+    )
+    for text in files:
+        (tmp_path / "log.csv").write_text(text)
+        runs = read_all(tmp_path / "log.csv", log)
+        assert [len(run) for run in runs] == [cut, 1200, 1200]
+        assert any("3 runs, one after the other" in note for note in runs[0].notes)
+
+
+def test_a_drive_whose_middle_is_0_V_is_refused_with_what_to_subtract(tmp_path: Path, bench: Bench) -> None:
+    """K was twice as large as it is, called exact: full drive is half of the range."""
+    path = log_of(tmp_path, {"ms": bench.ms, "pwm": 512.0 + 2.0 * bench.pwm, "counts": bench.counts})
+    with pytest.raises(RecordingError, match=r"evenly about 512, half of 1023.*subtract 512"):
+        read(path, replace(COUNTED, full=1023))
+    # sizes without a sign may lie so, too, and so may a drive of one way
+    unsigned = np.where(np.abs(bench.pwm) > 100.0, 155.0, 100.0)
+    for counts in (bench.counts, np.cumsum(unsigned)):
+        assert read(log_of(tmp_path, {"ms": bench.ms, "pwm": unsigned, "counts": counts}), COUNTED).u_V.min() > 0.0
 
 
 @pytest.mark.parametrize("bits", [8, 16, 32])

@@ -8,8 +8,9 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from shlex import quote
 from typing import Final
@@ -31,7 +32,7 @@ from rig.run_folder.recording.log_lines import (
     split,
     table_in,
 )
-from rig.run_folder.recording.recording import MIN_ROWS, Column, Columns
+from rig.run_folder.recording.recording import MIN_ROWS, Column, Columns, Floats
 from rig.run_folder.recording.sample_columns import COLUMNS, KINDS
 from rig.run_folder.recording.text_file import lines_of, whole_content, without_torn_line
 
@@ -42,6 +43,10 @@ _WITH_UNIT: Final = re.compile(r"([+-]?[0-9.]+(e[+-]?[0-9]+)?)\s*([^\W\d_]+|%|°
 _FEWEST_COLUMNS: Final = 3
 _FEW: Final = 0.01  # share of rows that may lack a number, and are left out
 EVENTS: Final = 0.5  # share of rows without a drive, from which on it was written where it changed
+_CHANGES: Final = 0.9  # share of the drives that are given: so many differ from the one before where all do
+# A drive ends where so many times the longest way between two drives, of so many or more, comes without one
+_ENDS: Final = 3
+_FEWEST_GIVEN: Final = 10
 # First bytes of files that people often give in place of a CSV file: what the file is, and how to get a CSV file.
 _NO_CSV: Final = {
     b"\x1f\x8b": ("is compressed (gzip)", "unpack it first: gunzip"),
@@ -119,6 +124,21 @@ class CsvText:
         """The fields of the line of this number. Raises RecordingError."""
         return _split(self.path, number, self.lines[number - 1], self.delimiter)
 
+    def interrupted(self, rows: Sequence[int]) -> list[int]:
+        """Places in these rows, from 0, before which stands another line: a greeting, or the names again."""
+        torn, lines = set(self.torn), self.lines
+        return [
+            k
+            for k, (before, line) in enumerate(pairwise(rows), 1)
+            if any(lines[n - 1].strip(f"{COMMENTS} ") for n in range(before + 1, line) if n not in torn)
+        ]
+
+    def numbers(self, rows: Sequence[int]) -> Iterator[Floats]:
+        """Each column that has a number in all of these rows."""
+        for texts in zip(*map(self.fields, rows), strict=False):
+            if all(map(is_number, texts)):
+                yield np.array(texts, dtype=np.float64)
+
     def with_decimal_points(self) -> CsvText:
         """With decimal commas as decimal points, and a note, if no comma separates columns and no row has a point."""
         if self.delimiter == "," or not _has_decimal_commas(self.lines, self.rows):
@@ -157,26 +177,74 @@ class CsvTable:
         A drive that most rows lack was written where it changed: it stays as it was in between. Positions of a slower
         clock stay NaN in the rows between. Raises RecordingError.
         """
-        columns = replace(self, required=frozenset()).columns()
+        columns, lines = self._driven(replace(self, required=frozenset()).columns(), notes)
         missing = {name: np.isnan(columns[name]) for name in self.names if name in self.required}
         share = {name: float(np.mean(lacks)) for name, lacks in missing.items()}
-        if share.get("u_V", 0.0) > EVENTS:
-            given = np.maximum.accumulate(np.where(missing["u_V"], 0, np.arange(len(self.rows))))
-            columns["u_V"], share["u_V"] = columns["u_V"][given], 0.0
-            missing["u_V"] = np.isnan(columns["u_V"])
-            notes.append(f"the drive is given in {np.unique(given).size} rows: in between it is as it was")
+        if share.get("u_V", 0.0) > _FEW:
+            given = np.flatnonzero(~missing["u_V"])
+            beside = np.all([~lacks[given] for name, lacks in missing.items() if name != "u_V"], axis=0)
+            changes = np.count_nonzero(np.diff(columns["u_V"][given])) >= _CHANGES * (given.size - 1)
+            if np.mean(beside) < EVENTS or (changes and share["u_V"] > EVENTS):  # it has rows of its own, or came with
+                held = np.maximum.accumulate(np.where(missing["u_V"], 0, np.arange(len(lines))))
+                columns["u_V"], share["u_V"] = columns["u_V"][held], 0.0
+                missing["u_V"] = np.isnan(columns["u_V"])
+                notes.append(f"the drive is given in {given.size} rows: in between it is as it was")
         if share.get("y_rad", 0.0) > _FEW:
             seen = np.count_nonzero(~missing["y_rad"])
             missing["y_rad"] &= seen < MIN_ROWS
-            notes.append(f"the position is given in {seen} rows of {len(self.rows)}: the others tell the drive")
+            notes.append(f"the position is given in {seen} rows of {len(lines)}: the others tell the drive")
             share["y_rad"] = float(np.mean(missing["y_rad"]))
-        lacks = np.any(list(missing.values()), axis=0)
-        if max(share.values()) > _FEW or not lacks.any():
-            return (self.columns() if max(share.values()) > _FEW else columns), self.rows
-        kept = np.flatnonzero(~lacks)
-        if kept.size < len(self.rows):
-            notes.append(f"{len(self.rows) - kept.size} rows lack a number, and were left out")
-        return {name: values[kept] for name, values in columns.items()}, [self.rows[k] for k in kept.tolist()]
+        for name in missing:
+            if share[name] > _FEW:
+                line = lines[int(np.argmax(missing[name]))]
+                count = np.count_nonzero(missing[name])
+                raise self._is_empty(name, int(count), line) if count > 1 else self._broken(line)
+        kept = np.flatnonzero(~np.any(list(missing.values()), axis=0))
+        if kept.size < len(lines):
+            notes.append(f"{len(lines) - kept.size} rows lack a number, and were left out")
+        return {name: values[kept] for name, values in columns.items()}, [lines[k] for k in kept.tolist()]
+
+    def _driven(self, columns: Columns, notes: list[str]) -> tuple[Columns, Sequence[int]]:
+        """The columns, and their lines, without the rows before the first drive, and without those after the last one
+        if none was given there for far longer than ever before; with a note. Raises RecordingError without a drive.
+        """
+        if "u_V" not in columns:
+            return columns, self.rows
+        given = np.flatnonzero(~np.isnan(columns["u_V"]))
+        if not given.size:
+            raise self._is_empty("u_V", len(self.rows), self.rows[0])
+        first, stop = int(given[0]), len(self.rows)
+        longest = int(np.diff(given).max(initial=1))
+        if given.size >= _FEWEST_GIVEN and stop - 1 - given[-1] > _ENDS * longest:
+            stop = int(given[-1]) + longest
+            notes.append(
+                f"the drive ends in line {self.rows[given[-1]]}: the {len(self.rows) - stop} rows that come later were "
+                "left out"
+            )
+        if first:
+            notes.append(f"{first} rows before the first drive were left out")
+        return {name: values[first:stop] for name, values in columns.items()}, self.rows[first:stop]
+
+    def _broken(self, line: int) -> RecordingError:
+        """The error for this line."""
+        return _broken_row(self, [self.text.fields(line)], [line])
+
+    def _is_empty(self, name: str, count: int, line: int) -> RecordingError:
+        """The error for a column that lacks numbers in so many rows, this line the first of them."""
+        place = self.names.index(name)
+        mark = self.text.delimiter
+        path, called = self.text.path, self.called[place]
+        cause = f"column {called} is empty in {count} rows of {len(self.rows)}, first here"
+        if name != "u_V" or count == len(self.rows):
+            return RecordingError(path, cause, "fill it in or delete these lines", line)
+        column, above = f"${place + 1}", self.text.line - (0 if self.text.names else 1)
+        fill = (
+            f"NR <= {above} {{print; next}} tolower({column}) ~ /^ *(nan)? *$/ {{{column} = u}} {{u = {column}; print}}"
+        )
+        fill = f"awk -F '{mark}' -v OFS='{mark}' '{fill}' {quote(str(path))} > plain.csv"
+        cause += ": nobody knows when it changed"
+        cure = f"log it in each row; or, if it changed only in rows that have it, fill it in: {fill}"
+        return RecordingError(path, cause, cure, line)
 
 
 def _fields(count: int) -> str:

@@ -40,6 +40,10 @@ from rig.run_folder.recording.servo_law import OwnLoop, ServoLaw
 
 _LONGEST_PERIOD_S, _SHORTEST_PERIOD_S = 0.5, 20e-6  # between samples; rig/identification/plausibility.py refuses others
 _FEWEST_ROWS = 22  # fewer are no recording to be fitted
+_SIGNED = 0.05  # of the largest drive: a smaller negative one may be noise of a size
+# Of a drive whose middle is 0 V: of full drive, how far that is from the half; of all motion, the way back; and how
+# drive and motion are correlated
+_HALF, _TO_AND_FRO, _TURNS = 0.02, 0.1, 0.4
 _OVER = 1.001  # of full drive: what rounding may show
 _FULL: Final = (255, 1023, 4095, 65535)  # usual numbers for full drive
 
@@ -87,13 +91,16 @@ def read_log(path: Path, log: LogFormat) -> list[Recording]:
         raw["t_s"] = np.searchsorted(sorted([*text.rows, *text.torn]), rows).astype(np.float64)
     supply_V = log.supply_V
     if log.servo is None:
+        if log.direction is None and "y_rad" in raw:
+            _refuse_middle(path, raw["u_V"], raw["y_rad"], log.most(choices["drive"].unit), rows)
         raw["u_V"] = _drive_V(path, raw["u_V"], choices["drive"], log, rows, notes)
         if log.direction is not None:
             words = _words(path, text, text.line if has_names else None, rows, "direction", log.direction)
-            raw["u_V"] = _ways(path, words, log.direction, rows, notes) * np.abs(raw["u_V"])
+            ways = _ways(path, words, log.direction, rows, notes)
+            raw["u_V"] = _directed(path, raw["u_V"], ways, log.direction, rows)
     else:
         supply_V = _supply_V(text, rows, first if has_names else (), log, notes)
-    runs = _runs(path, text, text.line if has_names else None, raw, rows, log)
+    runs = _runs(path, text, text.line if has_names else None, raw, rows, log, notes)
     recordings = []
     for number, run in enumerate(runs, 1):
         source = path if len(runs) == 1 else path.with_name(f"{path.name} (run {number} of {len(runs)})")
@@ -296,18 +303,41 @@ def _drive_V(path: Path, u: Floats, one: LogColumn, log: LogFormat, rows: Sequen
     return np.asarray(log.scale("drive", one.unit) * u)
 
 
+def _refuse_middle(path: Path, u: Floats, y: Floats, full: float | None, rows: Sequence[int]) -> None:
+    """Refuse a drive that lies evenly about half of full drive, is never near 0, and turns the shaft to and fro."""
+    middle = 0.5 * (float(u.min()) + float(u.max()))
+    if full is None or u.size < _FEWEST_ROWS or u.min() < _SIGNED * full or abs(middle - 0.5 * full) > _HALF * full:
+        return
+    moved = np.diff(y)
+    moved = np.where(np.isfinite(moved), moved, 0.0)
+    to_and_fro = min(float(moved[moved > 0.0].sum()), -float(moved[moved < 0.0].sum()))
+    away = float(np.hypot.reduce(u[:-1] - middle) * np.hypot.reduce(moved))
+    if to_and_fro > _TO_AND_FRO * float(np.abs(moved).sum()) and abs(float((u[:-1] - middle) @ moved)) > _TURNS * away:
+        raise RecordingError(
+            path, f"the drive lies evenly about {middle:g}, half of {full:g}, and turns the shaft both ways: its 0 V",
+            f"subtract {middle:g} from it, and say that half as full drive", rows[0],
+        )  # fmt: skip
+
+
 def _runs(
-    path: Path, text: CsvText, header: int | None, raw: Columns, rows: Sequence[int], log: LogFormat
+    path: Path, text: CsvText, header: int | None, raw: Columns, rows: Sequence[int], log: LogFormat, notes: list[str]
 ) -> list[Integers]:
     """The rows of each run in the file, counted from 0. Raises RecordingError."""
-    if log.run is None:
-        motion = raw["y_rad"] if "y_rad" in raw else raw["v_rad_per_s"]
+    if log.run is not None:
+        names = _words(path, text, header, rows, "run", log.run)
+        found, begins = np.unique(names, return_index=True)
+        return [np.flatnonzero(names == found[k]) for k in np.argsort(begins)]
+    motion = raw["y_rad"] if "y_rad" in raw else raw["v_rad_per_s"]
+    if log.period_s is None:
         second = 1.0 if log.time is None else 1.0 / log.scale("time", log.time.unit)
         times = log_mends.unwrapped_clock(raw["t_s"], motion, second, [])
-        return [np.arange(run.start, run.stop) for run in log_mends.runs_of(times)]
-    names = _words(path, text, header, rows, "run", log.run)
-    found, begins = np.unique(names, return_index=True)
-    return [np.flatnonzero(names == found[k]) for k in np.argsort(begins)]
+        runs = log_mends.runs_of(times)
+    else:
+        runs = log_mends.runs_without_time(motion, text.interrupted(rows), text.numbers(rows))
+        if len(runs) > 1:
+            lines = ", ".join(str(rows[run.start]) for run in runs)
+            notes.append(f"{len(runs)} runs, one after the other, begin in lines {lines}")
+    return [np.arange(run.start, run.stop) for run in runs]
 
 
 def _words(
@@ -344,6 +374,16 @@ def _ways(path: Path, words: NDArray[np.str_], column: str, rows: Sequence[int],
         raise RecordingError(path, cause, "give the column that says one of two directions: --direction COLUMN")
     notes.append(f"the drive is positive where column {column} says {there[-1]}, and negative where {there[0]}")
     return np.where(words == there[-1], 1.0, np.where(words == there[0], -1.0, 0.0))
+
+
+def _directed(path: Path, u_V: Floats, ways: Floats, column: str, rows: Sequence[int]) -> Floats:
+    """Drives with the sign that a column of directions gives. Raises RecordingError where they have another one."""
+    against = ways * u_V < -_SIGNED * float(np.abs(u_V).max())
+    if against.any() and u_V.min() < 0.0:
+        cause = f"the drive has a sign of its own, and column {shown(column)} says the other way here"
+        cure = "leave --direction out; or, if that column is right, log the drive without its sign"
+        raise RecordingError(path, cause, cure, rows[int(np.argmax(against))])
+    return np.asarray(ways * np.abs(u_V))
 
 
 def _refuse_other_units(

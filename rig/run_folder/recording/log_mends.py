@@ -6,7 +6,7 @@ Each function takes columns of numbers as they stand in the file. It adds a sent
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from typing import Final, NamedTuple
 
@@ -25,6 +25,7 @@ _COVERS, _MOVES, _NEARLY, _WIDE = 0.8, 0.35, 0.99, 16
 _SHOWN_S: Final = (1.0, 10.0, 60.0, 100.0, 1000.0, 3600.0, 43200.0, 86400.0)
 _WRAP_PERIODS = 3.0  # longest step over the end of a clock
 _FEWEST_ROWS = 22  # of a run in a file of several: fewer are rows out of order
+_COUNTS, _JUMPS = 0.9, 1.3  # share of rows in which a counter of rows rises; of the largest other bend, a jump back
 _FAR_ROWS = 5  # that rows out of order may be from their place
 _BEGINS_PERIODS = 3.0  # from the first run's time: where another run begins
 _FEWEST_HELD, _HELD = 20, 0.97  # changes of a velocity, and the share at whole multiples of rows, for it to be held
@@ -92,6 +93,27 @@ def runs_of(t: Floats) -> list[slice]:
     begin_again = bool(np.all((np.abs(begins - t[0]) <= near) | (np.abs(begins) <= near)))
     if not begin_again or min(np.diff(edges)) < _FEWEST_ROWS:
         return [slice(0, t.size)]
+    return [slice(first, stop) for first, stop in pairwise(edges)]
+
+
+def runs_without_time(y: Floats, begins: Sequence[int], others: Iterable[Floats]) -> list[slice]:
+    """The rows of each run in a file without a time: behind a greeting, where a counter begins again, or the position.
+
+    begins  rows before which the file says something else
+    others  its columns; one that rises in most rows, and then falls to where it began, counts the rows of a run
+    """
+    edges = [0, *begins, y.size]
+    if not begins or min(np.diff(edges)) < _FEWEST_ROWS:
+        counters = [runs_of(one) for one in others if np.mean(np.diff(one) > 0.0) > _COUNTS]
+        edges = [0, *(run.stop for run in max(counters, key=len, default=[slice(0, y.size)]))]
+    if len(edges) == 2 and y.size > _FEWEST_ROWS and np.isfinite(y).all():
+        bends = np.abs(np.diff(y, 2, prepend=y[0], append=y[-1]))
+        off = np.maximum(bends[:-1], bends[1:])  # of the steps into row 1, 2, ... from those beside it
+        again = np.flatnonzero((y[1:] == y[0]) & (off > 0.0))
+        beside = np.clip([again - 1, again, again + 1], 0, off.size - 1)
+        usual = float(np.delete(off, beside).max(initial=0.0))
+        edges = [0, *(again[off[again] > _JUMPS * usual] + 1).tolist(), y.size]
+        edges = edges if min(np.diff(edges)) >= _FEWEST_ROWS else [0, y.size]
     return [slice(first, stop) for first, stop in pairwise(edges)]
 
 

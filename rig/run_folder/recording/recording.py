@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -24,7 +25,11 @@ Column = NDArray[Any]
 Columns = dict[str, Column]
 
 MIN_ROWS: Final = 3
-STANDS: Final = 0.1  # share of rows with the time before, from which on the clock is too coarse
+# A coarse clock goes on by the same tick, within this share of it, but for this share of the rows; of so many periods
+ONE_TICK, STANDS, SLOW = 0.2, 0.1, 1.5
+# Periods by which stamps of even rows scatter about where they belong; or in each part of the rows one is on time
+FROM_LINE, ON_TIME, TIMED_PARTS = 8.0, 1.0, 10
+LATEST_S: Final = 1e12
 EVENTS: Final = "events.jsonl"
 
 
@@ -191,18 +196,40 @@ def require_rising(path: Path, t_s: Floats, numbers: Sequence[int]) -> None:
     cause += f"(t_s = {t_s[k]:.9g} after {t_s[k - 1]:.9g})"
     cure = "keep one run in a file, with its rows in order and one row for each sample"
     goes_on = steps[steps > 0.0]
-    if float(np.mean(steps == 0.0)) > STANDS and goes_on.size and not np.any(steps < 0.0):
-        tick_s = float(np.median(goes_on))
-        at = np.flatnonzero(steps) + 1  # where it goes on; in between it is late
-        mean_s = float(np.polynomial.Polynomial.fit(at, t_s[at], 1).convert().coef[1]) if at.size > 1 else tick_s
+    tick_s = float(np.median(goes_on)) if goes_on.size else math.nan
+    even_s = even_times_s(t_s)
+    mean_s = tick_s if even_s is None else float(even_s[1] - even_s[0])
+    one_tick = float(np.mean(np.abs(goes_on - tick_s) < ONE_TICK * tick_s)) > 1.0 - STANDS and tick_s > SLOW * mean_s
+    if even_s is not None and one_tick:
         cause += f": the clock stands still, and then goes on by {1e3 * tick_s:.4g} ms: it is too coarse for these rows"
+    elif even_s is not None:
+        cause += f", {bad.size} rows in all: rows of {1e3 * mean_s:.4g} ms got their stamps late, or in bursts"
+    if even_s is not None:
         cure = (
-            f"log a finer clock, such as micros(); or, if the rows came evenly, say how far apart, instead of a time: "
-            f"--period {1e3 * mean_s:.4g}ms is their mean"
+            f"log a finer clock where the position is read, such as micros(); or, if the rows came evenly, say how far "
+            f"apart, instead of a time: --period {1e3 * mean_s:.4g}ms is their mean"
         )
     elif steps[k - 1] < 0.0:
         cure += "; or, if this is another run, let its time begin as that of the first, or say --run COLUMN"
     raise RecordingError(path, cause, cure, numbers[k])
+
+
+def even_times_s(t_s: Floats) -> Floats | None:
+    """Even times for stamps that scatter about these, or come late in bursts; None for others, as where rows are lost.
+
+    Then no stamp is far from where it belongs, or in each part of the record the earliest ones are.
+    """
+    if t_s.size < TIMED_PARTS or not np.abs(t_s).max() < LATEST_S:
+        return None
+    rows = np.arange(t_s.size, dtype=np.float64)
+    line = np.polynomial.Polynomial.fit(rows, t_s, 1)
+    off_s, period_s = t_s - line(rows), float(line(1.0) - line(0.0))
+    if np.abs(off_s).max() > FROM_LINE * period_s:
+        at = np.array([part[np.argmin(off_s[part])] for part in np.array_split(np.arange(t_s.size), TIMED_PARTS)])
+        line = np.polynomial.Polynomial.fit(at, t_s[at], 1)
+        if np.abs(t_s[at] - line(at)).max() > ON_TIME * period_s:
+            return None
+    return np.asarray(line(rows)) if period_s > 0.0 else None
 
 
 def _add_absent(columns: Columns, count: int) -> None:
