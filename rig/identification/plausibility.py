@@ -56,9 +56,6 @@ MOVED_STEPS = 3.0  # if it is also more than this many steps of the sensor
 FEWEST_STEPS = 40.0  # of the sensor over the whole travel: an amplitude of 20 (docs/theory.md 4.3)
 RAIL_ROWS = 10  # successive rows at exactly one end of the travel, in spite of noise
 TURN_STEPS = 16.0  # of the sensor: a shaft that turns within one step goes no farther in as many rows ahead or behind
-FIRST_STEPS = 4.0  # of the sensor: parts of the way to and from a place where a shaft may have come to rest
-SLOW = 1.6  # times longer the part beside it takes than the next one
-SLOW_ROWS = 3  # of the next one at least: of fewer nothing can be said
 FAR_STEPS = 10.0  # from an end of the travel: no reading there is one of that end
 LARGE_SPAN_RAD = 12.6  # two turns: a potentiometer of one turn cannot show more
 FEW_LEVELS = 8
@@ -439,8 +436,7 @@ def _rails(test: TimeSeries) -> list[Objection]:
         k = int(np.argmax(under_drive))
         row = int(begins[k])
         stop = row + int(lengths[k])
-        explained = _turns(test, row, stop) or _sticks(test, row, stop) or _comes_to_rest(test, row, stop)
-        if under_drive[k] >= RAIL_ROWS and not explained:
+        if under_drive[k] >= RAIL_ROWS and not _turns(test, row, stop) and not _sticks(test, row, stop):
             first = test.first_row + row
             found.append(
                 Objection(
@@ -468,27 +464,6 @@ def _sticks(test: TimeSeries, first: int, stop: int) -> bool:
     stands = np.flatnonzero(inside & (high - low <= MOVED_STEPS * step))
     drives = np.lib.stride_tricks.sliding_window_view(np.abs(test.u_V), rows)[stands]
     return bool(np.any(drives.mean(axis=1) >= np.abs(test.u_V[first:stop]).mean()))
-
-
-def _comes_to_rest(test: TimeSeries, first: int, stop: int) -> bool:
-    """Whether the shaft slows down to these rows, and sets out from them: one that turns on beyond an end does not.
-
-    So a loop turns back where friction holds the shaft, within one step of a sensor that shows no more noise than that.
-    """
-    y, step = test.y_rad, test.resolution_rad()
-    return test.noise_rad() <= step and all(
-        _is_slow_at_first(way, FIRST_STEPS * step)
-        for way in (np.abs(y[first::-1] - y[first]), np.abs(y[stop - 1 :] - y[first]))
-    )
-
-
-def _is_slow_at_first(way_rad: Array, part_rad: float) -> bool:
-    """Whether the first part of a way takes far longer than the second one: 2.4 times from rest, once at one speed."""
-    beyond = [np.flatnonzero(way_rad >= times * part_rad) for times in (1.0, 2.0)]
-    if not all(rows.size for rows in beyond):
-        return False
-    one, two = (int(rows[0]) for rows in beyond)
-    return one > SLOW * max(two - one, SLOW_ROWS)
 
 
 def _say_unit(test: TimeSeries) -> str:
