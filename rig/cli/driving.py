@@ -70,12 +70,12 @@ def _ask_for(words: str, is_seen: Callable[[], bool]) -> bool:
     click.echo(words, err=True)
     until_s = time.monotonic() + _HAND_S
     with stop_on_signals() as stop:
-        while not is_seen():
-            if (reason := stop.look()) is not None:
+        while True:
+            has_seen = is_seen()
+            if (reason := stop.look()) is not None:  # also one that came during the last look
                 raise Fault("INTERRUPTED", reason)
-            if time.monotonic() > until_s:
-                return False
-        return True
+            if has_seen or time.monotonic() > until_s:
+                return has_seen
 
 
 def say_chip_starts(port: str | None) -> None:
