@@ -126,6 +126,17 @@ def test_runs_in_a_file_without_a_time_begin_behind_a_greeting_or_where_a_counte
         assert any("3 runs, one after the other" in note for note in runs[0].notes)
 
 
+def test_a_drive_an_angle_or_a_velocity_that_comes_back_begins_no_run(tmp_path: Path) -> None:
+    """A ramp that begins again, an angle that wraps while the shaft turns on, a shaft that stops at once."""
+    row = np.arange(600.0)
+    ramp, turned, stopped = row % 50.0 - 25.0, (7.0 * row) % 360.0, np.where(row < 300.0, row, 0.0)
+    log = LogFormat(drive=LogColumn("V", "u"), position=LogColumn("deg", "y"), period_s=PERIOD_S)
+    speed = replace(log, position=None, velocity=LogColumn("deg/s", "v"))
+    for columns, one in (({"u": ramp, "y": turned}, log), ({"u": np.sign(ramp), "v": stopped}, speed)):
+        (run,) = read_all(log_of(tmp_path, columns), one)
+        assert len(run) == row.size
+
+
 def test_a_drive_whose_middle_is_0_V_is_refused_with_what_to_subtract(tmp_path: Path, bench: Bench) -> None:
     """K was twice as large as it is, called exact: full drive is half of the range."""
     path = log_of(tmp_path, {"ms": bench.ms, "pwm": 512.0 + 2.0 * bench.pwm, "counts": bench.counts})

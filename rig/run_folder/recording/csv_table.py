@@ -133,12 +133,6 @@ class CsvText:
             if any(lines[n - 1].strip(f"{COMMENTS} ") for n in range(before + 1, line) if n not in torn)
         ]
 
-    def numbers(self, rows: Sequence[int]) -> Iterator[Floats]:
-        """Each column that has a number in all of these rows."""
-        for texts in zip(*map(self.fields, rows), strict=False):
-            if all(map(is_number, texts)):
-                yield np.array(texts, dtype=np.float64)
-
     def with_decimal_points(self) -> CsvText:
         """With decimal commas as decimal points, and a note, if no comma separates columns and no row has a point."""
         if self.delimiter == "," or not _has_decimal_commas(self.lines, self.rows):
@@ -203,6 +197,12 @@ class CsvTable:
         if kept.size < len(lines):
             notes.append(f"{len(lines) - kept.size} rows lack a number, and were left out")
         return {name: values[kept] for name, values in columns.items()}, [lines[k] for k in kept.tolist()]
+
+    def others(self, rows: Sequence[int]) -> Iterator[Floats]:
+        """Each column that is not read, and has a number in all of these rows."""
+        for name, texts in zip(self.names, zip(*map(self.text.fields, rows), strict=False), strict=False):
+            if not name and all(map(is_number, texts)):
+                yield np.array(texts, dtype=np.float64)
 
     def _driven(self, columns: Columns, notes: list[str]) -> tuple[Columns, Sequence[int]]:
         """The columns, and their lines, without the rows before the first drive, and without those after the last one

@@ -100,7 +100,7 @@ def read_log(path: Path, log: LogFormat) -> list[Recording]:
             raw["u_V"] = _directed(path, raw["u_V"], ways, log.direction, rows)
     else:
         supply_V = _supply_V(text, rows, first if has_names else (), log, notes)
-    runs = _runs(path, text, text.line if has_names else None, raw, rows, log, notes)
+    runs = _runs(path, table, text.line if has_names else None, raw, rows, log, notes)
     recordings = []
     for number, run in enumerate(runs, 1):
         source = path if len(runs) == 1 else path.with_name(f"{path.name} (run {number} of {len(runs)})")
@@ -320,20 +320,23 @@ def _refuse_middle(path: Path, u: Floats, y: Floats, full: float | None, rows: S
 
 
 def _runs(
-    path: Path, text: CsvText, header: int | None, raw: Columns, rows: Sequence[int], log: LogFormat, notes: list[str]
+    path: Path, table: CsvTable, header: int | None, raw: Columns, rows: Sequence[int], log: LogFormat, notes: list[str]
 ) -> list[Integers]:
     """The rows of each run in the file, counted from 0. Raises RecordingError."""
     if log.run is not None:
-        names = _words(path, text, header, rows, "run", log.run)
+        names = _words(path, table.text, header, rows, "run", log.run)
         found, begins = np.unique(names, return_index=True)
         return [np.flatnonzero(names == found[k]) for k in np.argsort(begins)]
-    motion = raw["y_rad"] if "y_rad" in raw else raw["v_rad_per_s"]
     if log.period_s is None:
+        motion = raw["y_rad"] if "y_rad" in raw else raw["v_rad_per_s"]
         second = 1.0 if log.time is None else 1.0 / log.scale("time", log.time.unit)
         times = log_mends.unwrapped_clock(raw["t_s"], motion, second, [])
         runs = log_mends.runs_of(times)
     else:
-        runs = log_mends.runs_without_time(motion, text.interrupted(rows), text.numbers(rows))
+        position = raw.get(
+            "y_rad", np.full(len(rows), np.nan)
+        )  # a velocity is where it began whenever the shaft stands
+        runs = log_mends.runs_without_time(position, table.text.interrupted(rows), table.others(rows))
         if len(runs) > 1:
             lines = ", ".join(str(rows[run.start]) for run in runs)
             notes.append(f"{len(runs)} runs, one after the other, begin in lines {lines}")

@@ -99,8 +99,9 @@ def runs_of(t: Floats) -> list[slice]:
 def runs_without_time(y: Floats, begins: Sequence[int], others: Iterable[Floats]) -> list[slice]:
     """The rows of each run in a file without a time: behind a greeting, where a counter begins again, or the position.
 
+    y       positions; not finite: there are none
     begins  rows before which the file says something else
-    others  its columns; one that rises in most rows, and then falls to where it began, counts the rows of a run
+    others  columns not read; one that rises in most rows, and then falls to where it began, counts the rows of a run
     """
     edges = [0, *begins, y.size]
     if not begins or min(np.diff(edges)) < _FEWEST_ROWS:
