@@ -5,7 +5,7 @@
 /* No motor is as fast: numbers that a fit tries may drive it on by themselves, as a drag that pushes does. */
 static const double RUNAWAY_RAD_S = 1e5;
 /* Steps at most, on the average over rows and edges: in any one, by the way that it turns in one, and by its time constants. */
-static const double STEPS_OF_ROW = 40.0;
+static const double STEPS_OF_ROW = 80.0;
 static const double STEPS_OF_TURNING = 500.0;
 static const double STEPS_OF_TAUS = 1000.0;
 /* Of a drive behind a lag so many of its time constants ago nothing is left within the rounding. */
