@@ -556,6 +556,33 @@ def test_a_law_that_seems_worth_nothing_beside_another_stays_where_the_fit_witho
     assert begun.chooser._dropped(fit, laws)[1] == (laws if dead_band_V else ())
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_what_the_plain_motor_says_of_whole_tests_that_it_does_not_bear_is_no_answer(seed: int) -> None:
+    """A slow random load in a position loop: fitted whole, tau was 98 % off. The pieces bear the motor."""
+    random, step_s, rows, truth = np.random.default_rng(seed), 5e-4, 1600, (0.05, 6.4, 0.75)
+    tau_s, K, fc_V = truth
+    y_rad, u_V, at, speed, load_V = np.empty(rows), np.empty(rows), 0.0, 0.0, 0.0
+    goal_rad = np.repeat(random.uniform(-2.0, 2.0, rows // 80), 80)
+    for k in range(rows):
+        y_rad[k] = at + 3e-3 * random.normal()
+        u_V[k] = np.clip(4.0 * (goal_rad[k] - y_rad[k]), -6.0, 6.0)
+        load_V += -load_V * PERIOD_S / 2.0 + 0.5 * math.sqrt(PERIOD_S) * random.normal()
+        for _ in range(10):
+            pull_V = u_V[k] - load_V
+            if speed == 0.0 and abs(pull_V) <= fc_V:
+                continue
+            way = math.copysign(1.0, speed or pull_V)
+            steady = K * (pull_V - fc_V * way)
+            after = steady + (speed - steady) * math.exp(-step_s / tau_s)
+            after = 0.0 if after * way < 0.0 else after
+            at, speed = at + 0.5 * step_s * (speed + after), after
+    answer = answered((PERIOD_S * np.arange(rows), u_V, y_rad))
+    assert answer.verdict == "doubtful" and answer.u95_absolute is not None
+    for name, true in zip(("tau_s", "K_rad_s_V", "fc_V"), truth, strict=True):
+        value, half = answer.value(name), answer.u95_absolute[name]
+        assert value is not None and half is not None and abs(value - true) < half < 0.6 * true
+
+
 def test_what_rows_with_a_drive_say_is_held_against_the_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     """A plain answer is fitted to whole tests, and its pieces are nearer to these rows."""
     _, problem, motor = _whole_fit(recorded(MOTOR, (0.0, 3.0, 7.0), rows=4000))
