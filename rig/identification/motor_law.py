@@ -512,8 +512,8 @@ def motor_law(
     by_size = profiles(parts, choice.laws, begun.chooser, of_model.effect)
     scatter = nuisances.scatter if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2
     scales = ScaleErrors.of(stated, *begun.travel_rad)
-    in_pieces = parts.problem.cut.begins.size > len(parts.problem.cut.windows)  # the plain motor does not bear the whole
-    is_plain = not choice.laws and not further and not coupled and not in_pieces
+    bears_all = parts.problem.cut.begins.size == len(parts.problem.cut.windows)
+    is_plain = bears_all and not choice.laws and not further and not coupled  # then its fit of the whole is the answer
     at_rests = of_rests(parts, plain if is_plain else None)
     bends = any_bend(parts, bare, goes_along=bench.goes_along)
     lines = budget(
