@@ -322,7 +322,7 @@ def test_a_plain_estimate_far_from_that_with_the_laws_is_not_ok() -> None:
     law, plain = found.motor_law, found.estimates["sampled-data"]
     assert law is not None
     own = replace(law, estimate=replace(plain, K_rad_s_V=1.04 * plain.K_rad_s_V))
-    assert any(r.startswith("K is 4 % off, by all records together") for r in own.reservations(plain, 1.8))
+    assert any(r.startswith("K is 4 % off, by all records in pieces") for r in own.reservations(plain, 1.8))
     near = replace(law, estimate=replace(plain, K_rad_s_V=1.01 * plain.K_rad_s_V))
     assert near.reservations(plain, 1.8) == []
 
