@@ -365,7 +365,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = parser.parse_args(argv)
     jobs = [(given.seed, number) for number in range(given.motors)]
     rows = []
-    for _, one in track(spread(row, jobs, jobs=given.jobs), total=len(jobs), disable=not sys.stderr.isatty()):
+    from campaign_real import outside  # what is of __main__ is sent to a process as a copy, and a C library cannot be
+
+    for _, one in track(spread(outside.row, jobs, jobs=given.jobs), total=len(jobs), disable=not sys.stderr.isatty()):
         rows.append(one)
         if given.rows is not None:
             with given.rows.open("a", encoding="utf-8") as file:
