@@ -88,14 +88,16 @@ class Protocol(ABC, Generic[Req]):
 
 
 class Reply(NamedTuple):
-    """A reply that fits its request, and when the device executed that, host time s.
+    """A reply that fits its request, and when the device executed that, host time s: as soon as it could.
 
+    latest_s    when it executed that at the latest: all that the exchange took beyond the sum was before
     reckoned_s  time that the config gives the exchange
     at_most_s   from before the request was written: a host that stands still makes it longer, never shorter
     """
 
     pdu: bytes
     executed_s: float
+    latest_s: float
     round_trip_s: float
     reckoned_s: float
     at_most_s: float
@@ -227,7 +229,10 @@ class BusClient(Generic[Req]):
                         to_s = self._pace * to_device_s
                         if reckoned_s > 0.0 and (share_s := took_s * to_device_s / reckoned_s) < to_s:
                             to_s = share_s
-                        return _new(Reply, (pdu, since_s + to_s, took_s, reckoned_s, received_s - from_s))
+                        executed_s = since_s + to_s
+                        beyond_s = took_s - self._pace * reckoned_s
+                        latest_s = executed_s + beyond_s if beyond_s > 0.0 else executed_s
+                        return _new(Reply, (pdu, executed_s, latest_s, took_s, reckoned_s, received_s - from_s))
                     if in_tick:
                         raise objection
                     # where replies that were late come together, the one to this request is the last

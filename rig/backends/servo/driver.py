@@ -513,7 +513,7 @@ class ServoDriver(RegisterDriver[Ask]):
             raise self._client.misfit(str(error)) from error
         values["position"] = self._unwrapped(round(values["position"]))
         if "tick" in values:
-            self._sampled_s = self._steps.take(round(values["tick"]), reply.executed_s)
+            self._sampled_s = self._steps.take(round(values["tick"]), reply.executed_s, reply.latest_s)
         else:
             self._sampled_s = reply.executed_s - 0.5 * STEP_S
         return values

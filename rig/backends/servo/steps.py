@@ -1,8 +1,8 @@
 """When a servo's steps of 1 ms are, in the host's time, from the clock that it tells with each reading. Pure.
 
 A servo's clock counts whole milliseconds. Readings at different places within its step bound the instant at which its
-clock went on; each later reading keeps the bound true. That the steps of clock, sensor and bridge are one, no manual
-says.
+clock went on; each later reading keeps the bound true. A reading that the machine held up bounds it less, not wrongly.
+That the steps of clock, sensor and bridge are one, no manual says.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import Final
 
 STEP_S: Final = 1e-3
 WRAPS: Final = 32768  # steps after which the clock begins again
+DRIFT: Final = 200e-6  # of a servo's clock against the host's: two crystals of 100 ppm
 
 
 class Steps:
@@ -29,19 +30,22 @@ class Steps:
         self._last = 0
         self._began_s = math.nan
 
-    def take(self, tick: int, t_s: float) -> float:
-        """A reading that was executed at ``t_s`` told ``tick``. Returns the time of that step, s, at most a step ago.
+    def take(self, tick: int, earliest_s: float, latest_s: float) -> float:
+        """A reading that was executed between these times told ``tick``. Returns the time of that step, s.
 
-        A clock that goes at another pace moves the bounds along: the last reading is always right.
+        Both clocks may go apart by ``DRIFT``. Where they do by more, the bounds move along: the last reading is always
+        right.
         """
+        slack_s = 0.0
         if self.is_known:
-            self.count += (tick - self._last) % WRAPS
+            passed = (tick - self._last) % WRAPS
+            self.count += passed
+            slack_s = DRIFT * passed * STEP_S
         self._last, self.is_known = tick, True
-        high_s = t_s - self.count * STEP_S
-        low_s = high_s - STEP_S
-        # where the clocks have moved apart, then by no more than what is between the bounds
-        self.low_s = min(max(self.low_s, low_s), high_s)
-        self.high_s = max(min(self.high_s, high_s), low_s)
+        high_s = latest_s - self.count * STEP_S
+        low_s = earliest_s - (self.count + 1) * STEP_S
+        self.low_s = min(max(self.low_s - slack_s, low_s), high_s)
+        self.high_s = max(min(self.high_s + slack_s, high_s), low_s)
         self._began_s = 0.5 * (self.low_s + self.high_s)
         return self._began_s + self.count * STEP_S
 

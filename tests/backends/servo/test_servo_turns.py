@@ -62,7 +62,7 @@ def test_the_steps_of_a_servo_are_found_from_its_clock(began_s: float, gaps_s: l
     for gap_s in gaps_s:
         t_s += gap_s
         number = math.floor((t_s - began_s) / STEP_S)
-        told_s = steps.take((first + number) % WRAPS, t_s)
+        told_s = steps.take((first + number) % WRAPS, t_s, t_s)
         assert t_s - STEP_S - 1e-9 <= told_s <= t_s + 1e-9
         true_s = began_s + number * STEP_S
         assert abs(told_s - true_s) <= 0.5 * (steps.high_s - steps.low_s) + 1e-9
@@ -74,5 +74,16 @@ def test_a_clock_of_another_pace_is_followed() -> None:
     for k in range(3000):
         t_s = 0.1 + 0.01 * k
         number = math.floor((t_s - began_s) / (STEP_S * 1.0002))
-        told_s = steps.take(number % WRAPS, t_s)
+        told_s = steps.take(number % WRAPS, t_s, t_s)
         assert t_s - STEP_S - 1e-9 <= told_s <= t_s + 1e-9
+
+
+@given(held_up_s=st.lists(st.floats(0.0, 0.004), min_size=40, max_size=80), share=st.floats(0.0, 1.0))
+def test_readings_that_the_machine_held_up_do_not_move_the_steps(held_up_s: list[float], share: float) -> None:
+    """Wherever in the exchange the delay was; the clock of the servo is quicker by as much as a crystal's."""
+    steps, began_s, pace = Steps(), 0.0004, STEP_S * (1.0 - 50e-6)
+    for k, delay_s in enumerate(held_up_s):
+        sent_s = 0.1 + 0.01037 * k
+        number = math.floor((sent_s + share * delay_s - began_s) / pace)
+        told_s = steps.take(number % WRAPS, sent_s, sent_s + delay_s)
+        assert abs(told_s - (began_s + number * pace)) <= 0.5 * (steps.high_s - steps.low_s) + 1e-9
