@@ -55,6 +55,7 @@ TURNED_BACK = 0.01  # of the longer way: a shorter one is drift where the drive 
 MOVED_STEPS = 3.0  # if it is also more than this many steps of the sensor
 FEWEST_STEPS = 40.0  # of the sensor over the whole travel: an amplitude of 20 (docs/theory.md 4.3)
 RAIL_ROWS = 10  # successive rows at exactly one end of the travel, in spite of noise
+STANDS = 1.0 / 3.0  # of the time at an end, for which a shaft that is at no end stands as hard driven
 TURN_STEPS = 16.0  # of the sensor: a shaft that turns within one step goes no farther in as many rows ahead or behind
 FAR_STEPS = 10.0  # from an end of the travel: no reading there is one of that end
 LARGE_SPAN_RAD = 12.6  # two turns: a potentiometer of one turn cannot show more
@@ -456,14 +457,21 @@ def _turns(test: TimeSeries, first: int, stop: int) -> bool:
 
 
 def _sticks(test: TimeSeries, first: int, stop: int) -> bool:
-    """Whether friction may hold the shaft in these rows: inside the travel it stands as long, as hard driven."""
+    """Whether friction may hold the shaft in these rows: inside the travel it stands as long, as hard driven.
+
+    Where the reading does not move at all, a part of the time is enough.
+    """
     y, step, rows = test.y_rad, test.resolution_rad(), stop - first
-    windows = np.lib.stride_tricks.sliding_window_view(y, rows)
-    low, high = windows.min(axis=1), windows.max(axis=1)
-    inside = (low > y.min() + FAR_STEPS * step) & (high < y.max() - FAR_STEPS * step)
-    stands = np.flatnonzero(inside & (high - low <= MOVED_STEPS * step))
-    drives = np.lib.stride_tricks.sliding_window_view(np.abs(test.u_V), rows)[stands]
-    return bool(np.any(drives.mean(axis=1) >= np.abs(test.u_V[first:stop]).mean()))
+    hard_V = np.abs(test.u_V[first:stop]).mean()
+    for long, moves, far in ((rows, MOVED_STEPS, FAR_STEPS), (max(RAIL_ROWS, round(STANDS * rows)), 0.0, 0.0)):
+        windows = np.lib.stride_tricks.sliding_window_view(y, long)
+        low, high = windows.min(axis=1), windows.max(axis=1)
+        inside = (low > y.min() + far * step) & (high < y.max() - far * step)
+        stands = np.flatnonzero(inside & (high - low <= moves * step))
+        drives = np.lib.stride_tricks.sliding_window_view(np.abs(test.u_V), long)[stands]
+        if np.any(drives.mean(axis=1) >= hard_V):
+            return True
+    return False
 
 
 def _say_unit(test: TimeSeries) -> str:

@@ -37,11 +37,13 @@ def test_a_reading_cut_off_in_spite_of_noise_is_one(noise_rad: float) -> None:
     assert "stays at exactly" in objection.reason
 
 
-def test_a_shaft_that_friction_holds_at_its_turn_as_it_does_elsewhere_is_at_no_end_of_a_sensor() -> None:
-    """A position loop's shaft stands still under its drive wherever it turns."""
+@pytest.mark.parametrize("share", [1.0, 0.4])
+def test_a_shaft_that_friction_holds_at_its_turn_as_it_does_elsewhere_is_at_no_end_of_a_sensor(share: float) -> None:
+    """A position loop's shaft stands still under its drive wherever it turns; elsewhere for a part of the time."""
     cut = to_and_fro(0.7 * STEP_RAD, 100 * STEP_RAD)
     longest = max(len(run) for run in np.split(cut.y_rad, np.flatnonzero(np.diff(cut.y_rad)) + 1))
-    held = np.concatenate((np.arange(1000), np.full(longest + 1, 1000), np.arange(1001, cut.t_s.size - longest)))
+    rows = round(share * longest) + 1
+    held = np.concatenate((np.arange(1000), np.full(rows, 1000), np.arange(1001, cut.t_s.size - rows + 1)))
     y_rad, u_V = cut.y_rad[held], cut.u_V[held]
     assert abs(y_rad[1000]) < 0.8 * y_rad.max()
     assert judge_records([replace(cut, y_rad=y_rad, u_V=u_V)]) == []
