@@ -25,9 +25,10 @@ from rig.identification.noise import noise_of
 from rig.model import library, library_build
 from rig.model.compiled import coloured_noise, motion, real_motion, sampled_relay, steady_cycle
 from rig.model.library import LIBRARY
-from rig.model.real_motor import Frame, Pieces, RealMotor, index, response_and_jacobian
+from rig.model.real_motor import Frame, RealMotor, index
 from rig.model.step import Plant, State
 from shared import physics
+from shared.pieces import Pieces, response_and_jacobian
 
 C = library.CLONE
 PLANT = (0.2, 5.0, 0.4, 0.4, 0.5, 0.5, 0.0, 0.0)

@@ -317,7 +317,7 @@ class Cut:
     ) -> Readings:
         """Predicted readings of all rows, rad, with their derivatives by the numbers ``free`` and the starts.
 
-        waves_per_rad   as ``response_and_jacobian``
+        waves_per_rad   as of ``rig.model.real_motor.readings_of``
         """
         found = readings_of(motor, self._records, self._begins(starts), free, waves_per_rad)
         if self.coupling is None:
