@@ -292,19 +292,6 @@ def _best(fits: Sequence[Fit], h2_V: float) -> Fit:
     return next(fit for fit in fits if near(fit.theta))
 
 
-def features_of(cycle: Cycle) -> Features:
-    """Features of an averaged cycle, with position and integral measured at the edges."""
-    return Features(
-        cycle.t1_s,
-        cycle.t2_s,
-        cycle.t3_s,
-        cycle.y_extremum_rad,
-        cycle.y_rc_rad,
-        cycle.y_rb_rad,
-        cycle.z_rc_rad_s,
-    )
-
-
 def fit(cycle: Cycle, start: Start | None = None) -> Estimate:
     """Estimate tau, K and fc, and the asymmetry and an unknown delay, from one averaged cycle.
 
