@@ -195,8 +195,8 @@ class _Strokes(NamedTuple):
         """
         tau, slope, plus, minus, excess = np.exp(np.clip(x, -12.0, 12.0)).tolist()
         motor = Plant(tau, slope * tau, plus, minus, plus * (1.0 + excess), minus * (1.0 + excess), 0.0, 0.0)
-        states = np.empty((self.rows, 3))  # without the checks of Motor.response: it is called a thousand times a run
-        motion.response(motor, (0.0, 0.0, 0.0), (edge_s, self.u_V, 0.0), self.t_s, states)
+        # without the checks of Motor.response: it is called a thousand times a run
+        states = motion.states(motor, (0.0, 0.0, 0.0), (edge_s, self.u_V, 0.0), self.t_s)
         left = self._without_rest(self.y_rad - states[:, 1]) / self.noise_rad
         away = [(x[0] - math.log(TAU_S)) / SPREAD, (x[4] - math.log(EXCESS)) / SPREAD]
         return np.append(left, away)

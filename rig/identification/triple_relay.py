@@ -131,8 +131,7 @@ def residuals(theta: Start, features: Features, h1_V: float, h2_V: float) -> Arr
 
     In this order: z at RC, v at RA, y at RB, y at the extremum, y at RC.
     """
-    values, jacobian = np.empty(5), np.empty((5, 3))
-    compiled.switching_conditions(_logarithmic(theta), (h1_V, h2_V), features[:3], values, jacobian)
+    values, _ = compiled.switching_conditions(_logarithmic(theta), (h1_V, h2_V), features[:3])
     measured, weight = _conditions(features)
     return np.asarray(weight * (values - measured))
 

@@ -19,7 +19,6 @@ from rig.model.library import (
     address,
     given,
     require_size,
-    room,
 )
 
 Array = NDArray[np.float64]
@@ -92,7 +91,7 @@ class Windows:
         require_size(vector, NUMBERS, "numbers of a motor")
         columns = which.size
         size = 7 * self._longest if plain else _COLUMN_ROWS * columns + _STAGE_ROWS * (WAVES + 2 * orders.size)
-        work, y_rad, jacobian = room(size), np.empty(self.rows), np.empty((self.rows, columns))
+        work, y_rad, jacobian = np.empty(size), np.empty(self.rows), np.empty((self.rows, columns))
         wanted = RealColumns(address(which), address(waves), address(work), columns, orders.size)
         read = LIBRARY.windows_plain if plain else LIBRARY.windows_readings
         into = address(y_rad), address(jacobian)
