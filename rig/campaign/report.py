@@ -258,7 +258,7 @@ def write_report(folder: Path, campaign: Campaign, table: Table, found: Summary)
         picture=base64.b64encode(image).decode("ascii"),
         config=dump(campaign),
     )
-    write_whole(folder / REPORT, page.encode("utf-8"))
+    write_whole(folder / REPORT, page)
 
 
 def table_rows(sums: Sums) -> list[tuple[str, ...]]:
