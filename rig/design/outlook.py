@@ -117,17 +117,17 @@ def told_either_way(task: Task, law: compiled.Law, longest_s: float = LONGEST_S,
     return second if second.seconds > first.seconds else first
 
 
-def told_in_turn(task: Task, laws: Sequence[compiled.Law], longest_s: float = LONGEST_S) -> float:
+def told_in_turn(task: Task, laws: Sequence[compiled.Law]) -> float:
     """How soon tests that share the time evenly tell enough, s; each begins as ``task`` says.
 
-    Beyond ``longest_s`` for each of them information is taken to grow evenly.
+    Beyond ``LONGEST_S`` for each of them information is taken to grow evenly.
     """
 
     def percent(seconds: float) -> float:
         parts = (information_of(task, law, seconds / len(laws)) for law in laws)
         return task.percent(task.before + np.sum(list(parts), axis=0))
 
-    low_s, high_s = 0.0, longest_s * len(laws)
+    low_s, high_s = 0.0, LONGEST_S * len(laws)
     at_last = percent(high_s)
     if at_last > task.wanted_percent:
         return high_s * (at_last / task.wanted_percent) ** 2
