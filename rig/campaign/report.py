@@ -33,8 +33,8 @@ from rig.campaign.summary import (
     relative_error,
     rms,
 )
-from rig.campaign.trial import Array
 from rig.config import Campaign, dump
+from rig.core.arrays import Array
 from rig.output.report.style import INK, LIMIT, MUTED, WIDTH_IN, note, rendered, style
 from rig.run_folder.recording.folder import write_whole
 

@@ -7,7 +7,8 @@ from ctypes import byref
 
 import numpy as np
 
-from rig.model.library import LIBRARY, Array, TestPlan, address, given, numbers, require_size
+from rig.core.arrays import Array
+from rig.model.library import LIBRARY, TestPlan, address, given, numbers, require_size
 from rig.model.step import Numbers
 
 Law = tuple[bool, Array, Array]  # True, (h1, h2), (); or False, drives of the strokes, their turning points

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.control.strokes import Stroke
+from rig.core.arrays import Array
 from rig.design import compiled
 from rig.design.belief import NORMAL_95, Belief
 from rig.design.planned_test import Reach, Reading, RelayGains, Room
-from rig.model.library import Array
 from rig.model.step import State
 
 AT_REST = State()

@@ -15,11 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.model.compiled import coloured_noise
 from rig.run_folder.recording.recording import Recording
 from rig.run_folder.recording.stage import StageKind
-
-Array = NDArray[np.float64]
 
 NEEDED = 8.0  # twice the gain of log likelihood from which on noise counts as coloured
 GRID = 7  # points of each axis, memory and size, in each round of the search

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification.preprocessing import from_recording
 from rig.model.compiled import motion
 from rig.model.step import Plant
@@ -15,8 +16,6 @@ from rig.run_folder.recording.errors import IdentifyError, RecordingError
 from rig.run_folder.recording.recording import Recording
 from rig.run_folder.recording.series import TimeSeries
 from rig.run_folder.recording.stage import StageKind
-
-Array = NDArray[np.float64]
 
 LONGEST_S = 0.15  # delay that is looked for: in the breakaway check a stroke and the pause after it last 0.16 s
 STEP_S = 0.01  # between the first delays that are tried

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification import describing_function
 from rig.identification.descent import Damping, Point, descend
 from rig.identification.estimate import Estimate, student_intervals
@@ -27,8 +27,6 @@ from rig.identification.starts import Start, ridge_starts
 from rig.identification.verdict import judge_reference, settled, unguarded
 from rig.model.compiled import steady_cycle as compiled
 from rig.run_folder.recording.errors import IdentifyError
-
-Array = NDArray[np.float64]
 
 METHOD = "triple-relay"
 FINE_SAMPLING = 120.0  # samples in a cycle: with fewer, averaging cycles that jitter costs more than 4 %

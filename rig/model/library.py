@@ -17,12 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.arrays import Array, Rows
 from rig.core.errors import LibraryError
 from rig.core.package import FOLDER
 from rig.model.library_build import NAME, CompileError, compiled, sources_in
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 CLONE = FOLDER.parent / "firmware" / "motor"  # the sources, in a clone
 

@@ -13,16 +13,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.model import friction as friction_laws
 from rig.model.compiled import motion
 from rig.model.friction import Friction
 from rig.model.library import LIBRARY, numbers
 from rig.model.step import Plant
 from rig.model.step import State as State
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

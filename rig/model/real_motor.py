@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.core.motor_numbers import FRAME, NUMBERS, Number, Numbers, State
 from rig.core.motor_numbers import PARTS as PARTS
 from rig.core.motor_numbers import Frame as Frame
@@ -23,8 +24,6 @@ from rig.model.compiled.real_motion import Record, Windows
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.real_inverse import position
-
-Array = NDArray[np.float64]
 
 CORE = ("tau_s", "K_rad_s_V", "fc_V", "bias_V")  # numbers of every motor
 # A part that is free and at 0 gets this size, in its own unit: so it is integrated as finely as it needs.

@@ -6,12 +6,10 @@ from ctypes import byref
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.model.library import LIBRARY, RelayPlan, address, given, numbers, require_size
 from rig.model.motor import Motor, State
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

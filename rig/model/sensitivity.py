@@ -9,13 +9,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rig.core.arrays import Array
 from rig.model.compiled import motion
 from rig.model.step import Numbers, Plant
-
-Array = NDArray[np.float64]
 
 
 class Theta(NamedTuple):

@@ -12,13 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification.departures.pieces import Cut
 from rig.identification.descent import descend
 from rig.identification.noise import WHITE, Noise
 from rig.model.library import LIBRARY, BorderedRows, address, given
 from rig.model.real_motor import Readings, RealMotor, index
-
-Array = NDArray[np.float64]
 
 CORE = ("tau_s", "K_rad_s_V", "fc_V", "bias_V")
 DELAY = "delay_s"

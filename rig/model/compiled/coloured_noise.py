@@ -5,12 +5,9 @@ from __future__ import annotations
 from ctypes import byref
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array, Rows
 from rig.model.library import LIBRARY, NoiseRows, address, given, require_size
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 
 def innovations(t_s: Array, starts: Rows, memory_s: float, ratio: float, columns: Array) -> tuple[Array, float]:

@@ -6,12 +6,11 @@ from ctypes import byref
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.model.library import LIBRARY, PlainDrive, address, given, numbers, require_size
 from rig.model.step import Numbers
 
-Array = NDArray[np.float64]
 Drive = tuple[Array, Array, float]  # edges, s, the drives that act from them on, V, and by how much later all do, s
 
 

@@ -8,8 +8,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array, Rows
 from rig.core.motor_numbers import Numbers, RealMotor
 from rig.model.library import (
     LIBRARY,
@@ -20,9 +20,6 @@ from rig.model.library import (
     given,
     require_size,
 )
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 NUMBERS = len(RealMotor._fields)
 V0, Y0 = NUMBERS, NUMBERS + 1  # columns of a piece's start, behind the numbers of the motor

@@ -11,11 +11,10 @@ from ctypes import byref
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.model.library import LIBRARY, CycleData, address, given, numbers, require_size
 
-Array = NDArray[np.float64]
 CONDITIONS = 5
 NUMBERS = 6
 

@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from rig.core.arrays import Array
 from rig.core.estimators import LEADING, MAIN
 from rig.identification.cycles import find_cycle
 from rig.identification.descent import Point, descend
@@ -18,7 +19,7 @@ from rig.identification.preprocessing import from_recording
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
 from rig.model.real_motor import FramedMotor, readings_of, windows_of
-from rig.output.report.source import Array, ReportedRun, Span, words_of
+from rig.output.report.source import ReportedRun, Span, words_of
 from rig.output.report.style import AbsentError
 from rig.run_folder.recording.curves import Curves, read_curves
 from rig.run_folder.recording.errors import IdentifyError, RecordingError
