@@ -25,7 +25,7 @@ from rig.design.belief import Belief
 from rig.design.best_test import best_of, best_strokes, gain_grid
 from rig.design.outlook import Task, driven, law_of, told, told_in_turn
 from rig.design.planned_test import Reading, RelayGains, Room, Strokes
-from rig.model.compiled.motion import response
+from rig.model.compiled.motion import states
 from shared import page
 from shared.cases import in_order
 
@@ -135,15 +135,14 @@ def open_loop(wish: Task) -> Callable[[Array], float]:
 
     def seconds(drives: Array) -> float:
         n = drives.size
-        states, jacobian, information = np.empty((n, 3)), np.empty((n, 7)), np.empty((5, 5))
         times = period_s * np.arange(float(n))
         edges = np.append(-period_s, times + wish.delay_s)
-        response(motor, (0.0, 0.0, 0.0), (edges, np.append(0.0, drives), 0.0), times, states)
-        low, high, speed, *_ = compiled.bounds(states[:, :2], 0.0)
+        moved = states(motor, (0.0, 0.0, 0.0), (edges, np.append(0.0, drives), 0.0), times)[:, :2]
+        low, high, speed, *_ = compiled.bounds(moved, 0.0)
         if low < room.low_rad or high > room.high_rad or speed > room.max_speed_rad_s:
             return math.inf
-        compiled.spread(motor, (period_s, wish.delay_s), drives, states, jacobian)
-        rows = compiled.rows_until(jacobian, wish.reading.noise_rad2, wish.before, wish.wanted, 5, information)
+        jacobian = compiled.spread(motor, (period_s, wish.delay_s), drives, moved)
+        rows, _ = compiled.rows_until(jacobian, wish.reading.noise_rad2, wish.before, wish.wanted, 5)
         return float(rows * period_s)
 
     return seconds

@@ -12,16 +12,15 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.config.campaign import Campaign
+from rig.core.arrays import Array
 from rig.core.errors import CauseError
 from rig.model.describing_function import predict
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
 from rig.model.sampled_relay import Disturbance, SimulatedRelayTest, relay_test
 
-Array = NDArray[np.float64]
 Stream = Literal["motor", "noise", "timing", "second noise", "second timing"]
 
 STREAMS: tuple[Stream, ...] = ("motor", "noise", "timing", "second noise", "second timing")

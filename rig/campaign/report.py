@@ -33,8 +33,8 @@ from rig.campaign.summary import (
     relative_error,
     rms,
 )
-from rig.campaign.trial import Array
 from rig.config import Campaign, dump
+from rig.core.arrays import Array
 from rig.output.report.style import INK, LIMIT, MUTED, WIDTH_IN, note, rendered, style
 from rig.run_folder.recording.folder import write_whole
 
@@ -258,7 +258,7 @@ def write_report(folder: Path, campaign: Campaign, table: Table, found: Summary)
         picture=base64.b64encode(image).decode("ascii"),
         config=dump(campaign),
     )
-    write_whole(folder / REPORT, page.encode("utf-8"))
+    write_whole(folder / REPORT, page)
 
 
 def table_rows(sums: Sums) -> list[tuple[str, ...]]:

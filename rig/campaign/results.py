@@ -28,7 +28,7 @@ from rig.config import Campaign, dump
 from rig.core.package import FOLDER, VERSION
 from rig.core.plain_file import open_plain, read_plain
 from rig.run_folder.recording.errors import RecordingError
-from rig.run_folder.recording.folder import CONFIG, META, write_config, write_meta
+from rig.run_folder.recording.folder import CONFIG, META, json_text, write_whole
 from rig.run_folder.recording.reader import read_object
 from rig.run_folder.results import JsonObject
 
@@ -187,18 +187,16 @@ def _table(rows: Iterable[Row]) -> Table:
 
 
 def _begin(folder: Path, campaign: Campaign) -> None:
-    write_config(folder, dump(campaign))
-    write_meta(
-        folder,
-        {
-            "name": campaign.name,
-            "rig": VERSION,
-            "started_utc": datetime.now(UTC).isoformat(timespec="seconds"),
-            "config_sha256": config_hash(campaign),
-            "program_sha256": program_hash(),
-            "campaign": _keys(campaign),
-        },
-    )
+    write_whole(folder / CONFIG, dump(campaign))
+    meta = {
+        "name": campaign.name,
+        "rig": VERSION,
+        "started_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+        "config_sha256": config_hash(campaign),
+        "program_sha256": program_hash(),
+        "campaign": _keys(campaign),
+    }
+    write_whole(folder / META, json_text(meta))
 
 
 def _same_campaign(folder: Path, campaign: Campaign) -> None:

@@ -210,7 +210,7 @@ def run(
         }
         from rig.campaign.report import write_report  # here: matplotlib loads slowly
 
-        write_whole(folder / SUMMARY, json_text(found).encode("utf-8"))
+        write_whole(folder / SUMMARY, json_text(found))
         write_report(folder, campaign, table, found)
     return CampaignSession(folder, done, added, seconds, False, found)
 

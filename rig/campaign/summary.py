@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.campaign.results import Table
-from rig.campaign.trial import FAILED, Array
+from rig.campaign.trial import FAILED
+from rig.core.arrays import Array
 from rig.identification.estimate import PARAMETERS
 
 MAIN = PARAMETERS[:3]  # their errors are relative to the truth; the true value of the others may be zero

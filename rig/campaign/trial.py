@@ -11,7 +11,6 @@ import traceback
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.campaign.random_motors import CampaignError, Draw, draw, simulate
 from rig.config.campaign import Campaign
@@ -26,7 +25,6 @@ from rig.run_folder.recording.recording import Recording, from_columns
 from rig.run_folder.recording.series import LEAST_DELAY_S, TimeSeries, steps_of
 from rig.run_folder.results import RunMeta
 
-Array = NDArray[np.float64]
 Row = dict[str, int | float | str]  # COLUMNS says of which kind each is
 FAILED = "failed"  # verdict of an experiment that raised an exception
 

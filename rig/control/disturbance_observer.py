@@ -10,14 +10,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
 from rig.core.signals import Sample
 from rig.model.linear import input_vector, transition
 from rig.model.step import State, glide
 
-Array = NDArray[np.float64]
 _WELL_POSED = 1e-9  # process noise of velocity and position beside the load's
 
 

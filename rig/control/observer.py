@@ -15,6 +15,7 @@ from rig.model.motor import Motor
 from rig.model.real_motor import FramedMotor
 
 _GAP_PERIODS = 2.5  # a longer time between two samples is a gap
+_DISTURBANCE_V = 0.15  # standard deviation of the model's error, as a drive that is constant over a period
 
 
 class MotorObserver:
@@ -23,7 +24,6 @@ class MotorObserver:
     motor        the identified model
     period_s     sampling period, s
     noise_rad    standard deviation of the position reading
-    disturbance_V  standard deviation of the model's error, as a drive that is constant over a period
     tachometer_noise_rad_s  standard deviation of the tachometer; None without one
 
     The gain comes from the linear part. Between samples the state follows the motor's own motion under the drive that
@@ -39,7 +39,6 @@ class MotorObserver:
         motor: Motor | FramedMotor,
         period_s: float,
         noise_rad: float,
-        disturbance_V: float = 0.15,
         tachometer_noise_rad_s: float | None = None,
     ) -> None:
         self.motor = known(motor)
@@ -59,7 +58,7 @@ class MotorObserver:
         else:
             C, R = np.array([[0.0, 1.0], [1.0, 0.0]]), np.diag([noise_rad**2, tachometer_noise_rad_s**2])
         # a little process noise on every state keeps the Riccati equation well posed
-        Q = B @ B.T * disturbance_V**2 + np.diag([1e-6, 1e-10])
+        Q = B @ B.T * _DISTURBANCE_V**2 + np.diag([1e-6, 1e-10])
         P = solve_discrete_are(A.T, C.T, Q, R)
         self._gain: list[list[float]] = (P @ C.T @ np.linalg.inv(C @ P @ C.T + R)).tolist()
 

@@ -31,11 +31,11 @@ class PositionStep:
     bandwidth_1_s the model is 3 dB down there, rad/s, > 0
     """
 
-    def __init__(self, step_rad: float, bandwidth_1_s: float, duration_s: float, start_rad: float = 0.0) -> None:
+    def __init__(self, step_rad: float, bandwidth_1_s: float, duration_s: float) -> None:
         self.step_rad = step_rad
         self.natural_1_s = bandwidth_1_s / BANDWIDTH_OF_SECOND_ORDER
         self.duration_s = duration_s
-        self.start_rad = start_rad
+        self.start_rad = 0.0
 
     def at(self, t_s: float) -> Reference:
         """As ``Program``; at rest once the step is done."""
@@ -105,14 +105,12 @@ class SpeedSteps:
     bandwidth_1_s  the model is 3 dB down there, rad/s, > 0
     """
 
-    def __init__(
-        self, speeds_rad_s: Sequence[float], each_s: float, bandwidth_1_s: float, start_rad: float = 0.0
-    ) -> None:
+    def __init__(self, speeds_rad_s: Sequence[float], each_s: float, bandwidth_1_s: float) -> None:
         self.speeds_rad_s = tuple(speeds_rad_s)
         self.each_s = each_s
         self.bandwidth_1_s = bandwidth_1_s
         self.duration_s = each_s * len(self.speeds_rad_s)
-        self.start_rad = start_rad
+        self.start_rad = 0.0
         self._begins: list[tuple[float, float]] = [(0.0, 0.0)]  # speed and way at the start of each step
         for wanted in self.speeds_rad_s[:-1]:
             self._begins.append(self._after(*self._begins[-1], wanted, each_s)[:2])

@@ -77,11 +77,6 @@ class SweepPlan:
         travel = self.high_rad - self.low_rad
         return sum(2.0 * (travel / v + self.turn_s) for v in self.speeds_rad_s)
 
-    @property
-    def run_up_rad(self) -> float:
-        """From an end of the travel, how far the fastest sweep is not yet steady, rad."""
-        return run_up_rad(max(self.speeds_rad_s), self.bandwidth_1_s)
-
     def at(self, t_s: float) -> Reference:
         """Reference ``t_s`` after the start at rest at ``low_rad``; after the end at rest there."""
         travel, turn = self.high_rad - self.low_rad, self.turn_s
@@ -104,11 +99,6 @@ def _trapezoid(t: float, v: float, turn: float, pass_s: float) -> tuple[float, f
         return v * (t - 0.5 * turn), v, 0.0
     left = pass_s - t
     return v * (pass_s - turn) - 0.5 * a * left * left, a * left, -a
-
-
-def run_up_rad(speed_rad_s: float, bandwidth_1_s: float) -> float:
-    """From an end of the travel, how far a sweep at this speed is not yet steady, rad."""
-    return speed_rad_s * (0.5 * TURN + SETTLE) / bandwidth_1_s
 
 
 def sweep_plan(room: Room, wanted_rad_s: Sequence[float] = ()) -> SweepPlan:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rig.control.motion import Swings
+from rig.core.arrays import Array
 from rig.design.belief import Belief
 from rig.design.best_test import KINDS, Kind, best_test
 from rig.design.outlook import Task, law_of, told
@@ -17,7 +18,6 @@ from rig.identification.breakaway import breakaway
 from rig.identification.estimate import PARAMETERS, Estimate
 from rig.identification.live import LiveEstimate, LiveFit, LiveRows, LiveSettings
 from rig.identification.preprocessing import from_recording
-from rig.model.library import Array
 from rig.model.step import State
 from rig.run_folder.recording.errors import IdentifyError
 from rig.run_folder.recording.recording import Recording

@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 
-from rig.model.library import Array
+from rig.core.arrays import Array
 from rig.model.step import Numbers, Plant
 
 RADIUS = 3.0  # standard deviations, along any direction, within which the motor is taken to be

@@ -11,9 +11,9 @@ from typing import Literal
 import numpy as np
 
 from rig.control.strokes import Stroke
+from rig.core.arrays import Array
 from rig.design import outlook
 from rig.design.planned_test import Design, RelayGains, Strokes
-from rig.model.library import Array
 
 WINDOW_S = 4.0  # of a test from rest, from which the information per second is taken
 GRID = 12  # values of each gain

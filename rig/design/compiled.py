@@ -5,7 +5,10 @@ from __future__ import annotations
 import ctypes
 from ctypes import byref
 
-from rig.model.library import LIBRARY, Array, TestPlan, address, filled, given, numbers, require_size, room
+import numpy as np
+
+from rig.core.arrays import Array
+from rig.model.library import LIBRARY, TestPlan, address, given, numbers, require_size
 from rig.model.step import Numbers
 
 Law = tuple[bool, Array, Array]  # True, (h1, h2), (); or False, drives of the strokes, their turning points
@@ -17,11 +20,11 @@ WIDTH = PARAMETERS + STARTS
 
 
 def drive(
-    motor: Numbers, law: Law, timing: Timing, start: Numbers, most_strokes: int, u_V: Array, states: Array
-) -> tuple[int, int]:
-    """Fill ``u_V`` (n,) and ``states`` (n, 2), velocity and position at each sample.
+    motor: Numbers, law: Law, timing: Timing, start: Numbers, most_strokes: int, most_rows: int
+) -> tuple[Array, Array, int]:
+    """Drives, V, velocities and positions (n, 2) at each sample, and the rows of the longest stroke.
 
-    Returns how many rows it took until ``most_strokes`` had ended, or all, and the rows of the longest stroke.
+    They end where ``most_strokes`` have ended, if any are asked for, or after ``most_rows``.
     The laws are ``rig.control.relay.DualChannelRelay`` and ``rig.control.strokes.StrokeTest``, without noise. Until the
     first drive acts there is none.
     """
@@ -29,58 +32,62 @@ def drive(
     require_size(first, 2 if is_relay else max(second.size, 1), "drives of a test")
     longest = ctypes.c_int64()
     plan = TestPlan(address(first), address(second), *timing, 0 if is_relay else first.size, most_strokes)
-    into = filled(u_V, u_V.size), filled(states, u_V.size, 2)
-    rows = LIBRARY.test_drive(numbers(*motor), byref(plan), numbers(*start), u_V.size, *into, byref(longest))
-    return rows, longest.value
+    u_V, states = np.empty(most_rows), np.empty((most_rows, 2))
+    into = address(u_V), address(states)
+    rows = LIBRARY.test_drive(numbers(*motor), byref(plan), numbers(*start), most_rows, *into, byref(longest))
+    return u_V[:rows], states[:rows], longest.value
 
 
-def spread(motor: Numbers, timing: Timing, u_V: Array, states: Array, jacobian: Array) -> None:
-    """Fill ``jacobian`` (n, 7): of the positions by log tau, log K, fc, asym, delay, v0, y0; rad over their units.
+def spread(motor: Numbers, timing: Timing, u_V: Array, states: Array) -> Array:
+    """(n, 7): the positions by log tau, log K, fc, asym, delay, v0, y0; rad over their units.
 
     ``states`` (n, 2), velocity, rad/s, and position, rad: the first one is the start.
     """
     drives_V, known_states = given(u_V), given(states)
     n = drives_V.size
     require_size(known_states, 2 * n, "states")
-    plan, work = TestPlan(None, None, *timing, 0, 0), room(4 * n + 2)
-    into = filled(jacobian, n, WIDTH)
+    plan, work, jacobian = TestPlan(None, None, *timing, 0, 0), np.empty(4 * n + 2), np.empty((n, WIDTH))
     if n:
         read = address(drives_V), address(known_states)
-        LIBRARY.test_jacobian(numbers(*motor), byref(plan), n, *read, address(work), into)
+        LIBRARY.test_jacobian(numbers(*motor), byref(plan), n, *read, address(work), address(jacobian))
+    return jacobian
 
 
-def known(full: Array, seen: Array, out: Array) -> None:
-    """Fill ``out`` (5, 5): the information ``seen`` and that of rows, ``full`` (7, 7), without what the starts take."""
+def known(full: Array, seen: Array) -> Array:
+    """(5, 5): the information ``seen`` and that of rows, ``full`` (7, 7), without what the starts take."""
     rows, before = given(full), given(seen)
     require_size(rows, WIDTH * WIDTH, "information of rows")
     require_size(before, PARAMETERS * PARAMETERS, "information")
-    LIBRARY.test_known(address(rows), address(before), filled(out, PARAMETERS, PARAMETERS))
+    out = np.empty((PARAMETERS, PARAMETERS))
+    LIBRARY.test_known(address(rows), address(before), address(out))
+    return out
 
 
-def variances(information: Array, out: Array) -> bool:
-    """Fill ``out`` (3,): variances of log tau, log K and fc; False where the information does not separate them."""
+def variances(information: Array) -> Array | None:
+    """(3,): variances of log tau, log K and fc; None where the information does not separate them."""
     given_information = given(information)
     require_size(given_information, PARAMETERS * PARAMETERS, "information")
-    return bool(LIBRARY.test_variances(address(given_information), filled(out, 3)))
+    out = np.empty(3)
+    return out if LIBRARY.test_variances(address(given_information), address(out)) else None
 
 
-def rows_until(jacobian: Array, noise_rad2: float, seen: Array, wanted: Array, every: int, information: Array) -> float:
-    """Rows until the deviations of log tau, log K and fc are within ``wanted`` (3,).
+def rows_until(jacobian: Array, noise_rad2: float, seen: Array, wanted: Array, every: int) -> tuple[float, Array]:
+    """Rows until the deviations of log tau, log K and fc are within ``wanted`` (3,), and all information then, (5, 5).
 
     ``jacobian`` is that of ``spread``, and ``noise_rad2`` the variance of a reading, rad^2. ``seen`` is the information
-    before the first row. At the end ``information`` (5, 5) is all that there is. It looks
-    after each ``every`` rows, and at the last; between two looks the logarithm of the deviation falls evenly. If the
-    rows are too few: as many as it takes if information goes on as it came in until then.
+    before the first row. It looks after each ``every`` rows, and at the last; between two looks the logarithm of the
+    deviation falls evenly. If the rows are too few: as many as it takes if information goes on as it came in until
+    then.
     """
     rows, before, within = given(jacobian), given(seen), given(wanted)
     n = rows.shape[0]
     require_size(rows, n * WIDTH, "jacobian")
     require_size(before, PARAMETERS * PARAMETERS, "information")
     require_size(within, 3, "wanted")
-    into = filled(information, PARAMETERS, PARAMETERS)
-    read = address(before), address(within)
+    information = before.copy()
+    read, into = (address(before), address(within)), address(information)
     needed: float = LIBRARY.test_rows(address(rows), n, noise_rad2, *read, max(every, 1), into)
-    return needed
+    return needed, information
 
 
 def bounds(states: Array, horizon_s: float) -> tuple[float, float, float, float, float]:

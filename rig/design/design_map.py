@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 from rig.control.strokes import Stroke
@@ -17,14 +16,12 @@ PERCENTS = (10.0, 3.0, 1.0, 0.5)  # half widths to say the time for, %
 SHOWN = 1.1  # of the strokes' time: as much of their motion is shown
 
 
-def design_map(
-    task: Task, doubt_percent: float, size: int = SIZE, percents: Sequence[float] = PERCENTS
-) -> results.DesignResult:
-    """Try ``size`` by ``size`` pairs of gains, and search strokes for each interval: some seconds. Deterministic.
+def design_map(task: Task, doubt_percent: float) -> results.DesignResult:
+    """Try pairs of gains on a grid, and search strokes for each interval: some seconds. Deterministic.
 
     doubt_percent  by which ``task.belief`` may be wrong, to be told with the result
     """
-    grid = gain_grid(task, size)
+    grid = gain_grid(task, SIZE)
     gains, strokes = best_of(task, grid), best_strokes(task)
     pair = () if gains is None else gains.pair or (gains.single,)
     return results.DesignResult(
@@ -40,7 +37,7 @@ def design_map(
         strokes=tuple(results.DesignedStroke(u_V=one.u_V, turn_rad=one.turn_rad) for one in _strokes_of(strokes)),
         gains=tuple(_gains(one.gains) for one in pair),
         single=None if gains is None else _gains(gains.single.gains),
-        until=tuple(_until(task, grid, strokes, percent) for percent in sorted({*percents, task.wanted_percent})[::-1]),
+        until=tuple(_until(task, grid, strokes, percent) for percent in sorted({*PERCENTS, task.wanted_percent})[::-1]),
         map=_map(task, grid),
         motion=_motion(task, strokes),
     )

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.control.strokes import Stroke
+from rig.core.arrays import Array
 from rig.design import compiled
 from rig.design.belief import NORMAL_95, Belief
 from rig.design.planned_test import Reach, Reading, RelayGains, Room
-from rig.model.library import Array
 from rig.model.step import State
 
 AT_REST = State()
@@ -80,8 +80,8 @@ class Task:
 
         information  (5, 5), of log tau, log K, fc (V), asym (V) and delay (s)
         """
-        found = np.empty(3)
-        if not compiled.variances(np.ascontiguousarray(information), found):
+        found = compiled.variances(information)
+        if found is None:
             return math.inf
         return float(self.wanted_percent * np.max(np.sqrt(found) / self.wanted))
 
@@ -97,15 +97,8 @@ def law_of(test: RelayGains | Sequence[Stroke]) -> compiled.Law:
 def told(task: Task, law: compiled.Law, longest_s: float = LONGEST_S) -> Told:
     """How soon a test tells enough. If it takes longer than ``longest_s``: as if information grew evenly."""
     period_s = task.reading.period_s
-    information = np.zeros((5, 5))
-    rows = compiled.rows_until(
-        _jacobian(task, law, longest_s),
-        task.reading.noise_rad2,
-        task.before,
-        task.wanted,
-        max(round(LOOKED_S / period_s), 1),
-        information,
-    )
+    jacobian, every = _jacobian(task, law, longest_s), max(round(LOOKED_S / period_s), 1)
+    rows, information = compiled.rows_until(jacobian, task.reading.noise_rad2, task.before, task.wanted, every)
     return Told(rows * period_s, information)
 
 
@@ -124,17 +117,17 @@ def told_either_way(task: Task, law: compiled.Law, longest_s: float = LONGEST_S,
     return second if second.seconds > first.seconds else first
 
 
-def told_in_turn(task: Task, laws: Sequence[compiled.Law], longest_s: float = LONGEST_S) -> float:
+def told_in_turn(task: Task, laws: Sequence[compiled.Law]) -> float:
     """How soon tests that share the time evenly tell enough, s; each begins as ``task`` says.
 
-    Beyond ``longest_s`` for each of them information is taken to grow evenly.
+    Beyond ``LONGEST_S`` for each of them information is taken to grow evenly.
     """
 
     def percent(seconds: float) -> float:
         parts = (information_of(task, law, seconds / len(laws)) for law in laws)
         return task.percent(task.before + np.sum(list(parts), axis=0))
 
-    low_s, high_s = 0.0, longest_s * len(laws)
+    low_s, high_s = 0.0, LONGEST_S * len(laws)
     at_last = percent(high_s)
     if at_last > task.wanted_percent:
         return high_s * (at_last / task.wanted_percent) ** 2
@@ -147,9 +140,7 @@ def told_in_turn(task: Task, laws: Sequence[compiled.Law], longest_s: float = LO
 def information_of(task: Task, law: compiled.Law, seconds: float) -> Array:
     """What a test of so many seconds tells (5, 5), without what was there before."""
     jacobian = _jacobian(task, law, seconds)
-    information = np.zeros((5, 5))
-    compiled.known(jacobian.T @ jacobian / task.reading.noise_rad2, np.zeros((5, 5)), information)
-    return information
+    return compiled.known(jacobian.T @ jacobian / task.reading.noise_rad2, np.zeros((5, 5)))
 
 
 def driven(task: Task, law: compiled.Law, seconds: float) -> tuple[Array, Array, Array]:
@@ -161,20 +152,17 @@ def driven(task: Task, law: compiled.Law, seconds: float) -> tuple[Array, Array,
 def _driven(task: Task, law: compiled.Law, seconds: float) -> tuple[Array, Array]:
     """Drives (n,) and states (n, 2) of a test."""
     n = max(round(seconds / task.reading.period_s), 3)
-    u_V, states = np.empty(n), np.empty((n, 2))
     timing = task.reading.period_s, task.delay_s
     motor = task.belief.plant(task.room.static_V)
-    compiled.drive(motor, law, timing, tuple(map(float, task.start)), 0, u_V, states)
+    u_V, states, _ = compiled.drive(motor, law, timing, tuple(map(float, task.start)), 0, n)
     return u_V, states
 
 
 def _jacobian(task: Task, law: compiled.Law, seconds: float) -> Array:
     """The derivatives (n, 7) of the readings of a test, by log tau, log K, fc, asym, delay and the start."""
     u_V, states = _driven(task, law, seconds)
-    jacobian = np.empty((u_V.size, 7))
     motor = task.belief.plant(task.room.static_V)
-    compiled.spread(motor, (task.reading.period_s, task.delay_s), u_V, states, jacobian)
-    return jacobian
+    return compiled.spread(motor, (task.reading.period_s, task.delay_s), u_V, states)
 
 
 class Outcome(NamedTuple):
@@ -211,16 +199,15 @@ def outcome(
     low = high = speed = excess = longest_s = 0.0
     least_swing_rad = task.least_swing_rad
     n = round(CORNER_S / period_s)
-    u_V, states = np.empty(n), np.empty((n, 2))
     for motor, start in product(motors, starts):
-        rows, longest = compiled.drive(motor, law, timing, tuple(map(float, start)), PASSES * strokes, u_V, states)
-        lowest, highest, fastest, *stops = compiled.bounds(states[:rows], room.horizon_s)
+        _, states, longest = compiled.drive(motor, law, timing, tuple(map(float, start)), PASSES * strokes, n)
+        lowest, highest, fastest, *stops = compiled.bounds(states, room.horizon_s)
         low, high, speed = min(low, lowest), max(high, highest), max(speed, fastest)
         longest_s = max(longest_s, longest * period_s)
         used = (lowest / low_rad, highest / high_rad, fastest / room.max_speed_rad_s)
         too_small = least_swing_rad / max(highest - lowest, 1e-9)
         predicted = (stop / limit for stop, limit in zip(stops, room.stop_rad, strict=True))
-        never_ends = 2.0 if strokes and rows == n else 0.0
+        never_ends = 2.0 if strokes and len(states) == n else 0.0
         excess = max(excess, max(*used, *predicted, too_small, never_ends) - 1.0)
         if excess > enough:
             break

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from rig.model.library import Array
+from rig.core.arrays import Array
 
 STILL_SHARE = 0.6  # of a pause, its end: by then the shaft stands
 FEWEST_ROWS = 20

@@ -6,15 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.identification.estimate import Estimate
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
 from rig.run_folder.recording.series import TimeSeries
 from rig.run_folder.results import StaticFrictionResult
-
-Array = NDArray[np.float64]
 
 SETTLE_S = 0.3  # time after the last drive of a ramp that still belongs to it
 CHANCE = 3.84  # chi-squared of one degree, 95 %

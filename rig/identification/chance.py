@@ -10,9 +10,8 @@ from collections.abc import Callable
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rig.core.arrays import Array
 
 Z_975 = 1.959963984540054  # the 97.5 % quantile of the normal distribution
 MANY = 30.0  # degrees of freedom from which on a series in one over them is exact to 1e-8

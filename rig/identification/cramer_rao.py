@@ -12,12 +12,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.model.sensitivity import Theta, position_and_jacobian
 from rig.run_folder.recording.series import Steps
-
-Array = NDArray[np.float64]
 
 DELAY = Theta._fields.index("delay_s")
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification.mean_cycle import Cycle, Half, Wave, average
 from rig.model.cycle_detector import GAP_PERIODS, GAP_SHARE
 from rig.run_folder.recording.errors import IdentifyError
 from rig.run_folder.recording.series import TimeSeries
-
-Array = NDArray[np.float64]
 
 SETTLED = 0.05  # the oscillation has settled once three periods in a row lie within this,
 ARRIVED = 0.005  # and their mean is this near the period at the end of the recording

@@ -10,8 +10,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification.estimate import Estimate, student_intervals
 from rig.identification.estimator import Estimator
 from rig.identification.mean_cycle import Cycle
@@ -19,8 +19,6 @@ from rig.identification.measurements import Measurements
 from rig.identification.starts import Start
 from rig.identification.verdict import judge_reference, settled, unguarded
 from rig.run_folder.recording.errors import IdentifyError
-
-Array = NDArray[np.float64]
 
 METHOD = "describing-function"
 NEAREST_H2 = 0.05  # smallest relative difference between the gains h2 of two tests

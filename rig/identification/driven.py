@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification.chance import student_975
 from rig.identification.departures.fit import (
     CORE,
@@ -41,8 +41,6 @@ from rig.model.real_motor import Frame, RealMotor
 from rig.model.sensitivity import Theta
 from rig.run_folder.recording.series import TimeSeries, Window, noise_of_all_rad, spread_rad
 from rig.run_folder.recording.stage import StageKind
-
-Array = NDArray[np.float64]
 
 PART_S = 3.0  # of a motion at first: over so little of it a fit finds its valley, and errors of the model do not add up
 GROWN = 3.0  # standard deviations by which the squares may grow from parts to whole motions for these to be fitted

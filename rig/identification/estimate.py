@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.core.optional import needed
 from rig.identification.chance import student_975
 from rig.identification.mean_cycle import Cycle
@@ -17,7 +17,6 @@ from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.run_folder.results import EstimateResult, ResidualResult
 
-Array = NDArray[np.float64]
 Verdict = Literal["ok", "doubtful", "refused"]
 VERDICTS: tuple[Verdict, ...] = ("ok", "doubtful", "refused")
 

@@ -15,15 +15,13 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.model.real_inverse import drive_for
 from rig.model.real_motor import FramedMotor
 from rig.run_folder.recording.errors import IdentifyError
 from rig.run_folder.recording.series import TimeSeries
 from rig.run_folder.results import FrictionMapResult, MapPositionResult, MapSpeedResult
-
-Array = NDArray[np.float64]
 
 STEADY = 5e-3  # relative change of the reference's speed from row to row that is none
 STRAIGHT = 2e-3  # of its way: the largest distance of a sweep's reference from a straight line

@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification.chance import student_975
 from rig.identification.departures.blocks import Blocks
 from rig.identification.departures.departure import LARGEST_FORCE, NOTHING
@@ -37,8 +37,6 @@ from rig.identification.thinning import thinned
 from rig.model.real_motor import Frame, RealMotor
 from rig.model.real_step import mean_cosine
 from rig.run_folder.recording.series import TimeSeries, Window, delays_of_all_s, noise_of_all_rad
-
-Array = NDArray[np.float64]
 
 INDEX = {name: k for k, name in enumerate((*CORE, DELAY))}  # in the order of ``PARAMETERS``
 LENGTHS_S = (0.15, 0.5, 2.0)

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification import sampled_data
 from rig.identification.chance import student_975
 from rig.identification.estimate import Estimate
@@ -34,8 +34,6 @@ from rig.identification.verdict import in_percent
 from rig.run_folder.recording.errors import IdentifyError
 from rig.run_folder.recording.series import TimeSeries
 from rig.run_folder.results import HystereticResult
-
-Array = NDArray[np.float64]
 
 METHOD = "least-squares"
 FEWEST_SAMPLES = 8  # from the first drive to the first switching

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification.departures import DEPARTURES
 from rig.identification.departures.choice import limits_of_laws
 from rig.identification.departures.departure import Bench, Departure
@@ -29,8 +30,6 @@ from rig.identification.motions import Motion, in_parts, motions
 from rig.identification.stated_errors import StatedErrors
 from rig.model.real_motor import Frame, FramedMotor, RealMotor
 from rig.run_folder.recording.series import FEWEST_ROWS, TimeSeries, Window
-
-Array = NDArray[np.float64]
 
 NORMAL_95 = 1.959964
 GAP_PERIODS = 2.5  # between two rows: from there on the record is cut

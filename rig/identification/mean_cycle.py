@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.run_folder.recording.errors import IdentifyError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -38,8 +38,8 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification.chance import chi_squared_quantile, student_975
 from rig.identification.departures.budget import COVERAGE, Entry
 from rig.identification.departures.fit import POSITIVE, Fit, refitted, solve, sums_of_pieces, unit
@@ -49,8 +49,6 @@ from rig.identification.departures.pieces import FEWEST_ROWS, Cut
 from rig.identification.estimate import Estimate
 from rig.model.real_motor import is_plain
 from rig.run_folder.recording.series import Window
-
-Array = NDArray[np.float64]
 
 CHANCE = 0.005  # that pieces of a motor that the model describes seem to differ
 FEWEST_PIECES = 6

@@ -17,10 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.arrays import Array, Rows
 from rig.run_folder.recording.series import Window
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 SHORTEST_REST_S, FEWEST_AT_REST = 0.12, 9  # a rest takes as long, and as many rows
 SEEN = 2.5  # standard deviations beyond which a change of the position shows

@@ -11,8 +11,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.core.motor_numbers import NUMBERS
 from rig.identification.chance import student_975
 from rig.identification.departures import DEPARTURES, OUTSIDE
@@ -79,8 +79,6 @@ from rig.run_folder.results import (
     PredictsResult,
 )
 from rig.run_folder.results.answer import answer_of
-
-Array = NDArray[np.float64]
 
 GRADES = {"exact": ASKED, "good": 0.10, "rough": 0.25}  # half width of u95, relative to the number: at most
 NOT_KNOWN = "not known"

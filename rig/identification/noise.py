@@ -15,11 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.model.compiled import coloured_noise
 from rig.run_folder.recording.recording import Recording
 from rig.run_folder.recording.stage import StageKind
-
-Array = NDArray[np.float64]
 
 NEEDED = 8.0  # twice the gain of log likelihood from which on noise counts as coloured
 GRID = 7  # points of each axis, memory and size, in each round of the search
@@ -52,9 +51,8 @@ class Noise:
         """
         if self.white:
             return columns
-        table = np.ascontiguousarray(columns.reshape(columns.shape[0], -1))
-        out = np.empty_like(table)
-        coloured_noise.innovations(t_s, _starts(lengths), self.memory_s, self.ratio, table, out)
+        table = columns.reshape(columns.shape[0], -1)
+        out, _ = coloured_noise.innovations(t_s, _starts(lengths), self.memory_s, self.ratio, table)
         return out.reshape(columns.shape)
 
 
@@ -77,7 +75,6 @@ def noise_of(residual: Array, t_s: Array, lengths: Sequence[int], period_s: floa
     longest = float(max(t_s[a + n - 1] - t_s[a] for a, n in zip(starts.tolist(), lengths, strict=True)))
     low = np.log([0.5 * period, 1e-4])
     high = np.log([10.0 * longest, 1e8])
-    deviances = np.empty(GRID)
     best, centre = np.inf, 0.5 * (low + high)
     reach = 0.5 * (high - low)
     for _ in range(ROUNDS):
@@ -86,7 +83,7 @@ def noise_of(residual: Array, t_s: Array, lengths: Sequence[int], period_s: floa
             for c, r, a, b in zip(centre, reach, low, high, strict=True)
         )
         for memory in memories.tolist():
-            coloured_noise.deviances(t_s, starts, float(np.exp(memory)), np.exp(ratios), scaled, deviances)
+            deviances = coloured_noise.deviances(t_s, starts, float(np.exp(memory)), np.exp(ratios), scaled)
             least = int(np.argmin(deviances))
             if deviances[least] < best:
                 best, centre = float(deviances[least]), np.array([memory, ratios[least]])

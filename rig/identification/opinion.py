@@ -10,12 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification.chance import chi_squared_beyond
 from rig.identification.estimate import Estimate
-
-Array = NDArray[np.float64]
 
 CHANCE = 1e-4  # probability of a false alarm for recordings of one motor
 MODEL_ERROR = 0.01  # of each parameter: effects outside a recording's interval, such as speed and temperature

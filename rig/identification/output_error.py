@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification.departures.choice import AT_NOISE
 from rig.identification.departures.fit import CORE, DELAY, Enough, Fit, Normal, Problem, begun, limits_of, solve
 from rig.identification.departures.pieces import Cut
@@ -18,8 +19,6 @@ from rig.identification.noise import WHITE, Noise
 from rig.model.real_motor import RealMotor, index
 from rig.model.sensitivity import Theta
 from rig.run_folder.recording.series import TimeSeries, Window, noise_of_all_rad
-
-Array = NDArray[np.float64]
 
 SHARED = 5  # number of parameters that all windows share: tau, K, fc, asym, delay
 SINGULAR = 1e10  # condition of the scaled Jacobian beyond which parameters cannot be separated

@@ -17,10 +17,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification.estimate import Estimate, Verdict
 from rig.run_folder.recording.series import FEWEST_ROWS, LATENCY_S, TimeSeries
-
-Array = NDArray[np.float64]
 
 LONGEST_PERIOD_S = 0.5  # between samples: longer than any motor's time constant
 SHORTEST_PERIOD_S = 20e-6  # between samples: shorter than that of any logger of positions

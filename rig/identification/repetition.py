@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array, Rows
 from rig.run_folder.recording.series import Window
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 
 def repetitions(windows: Sequence[Window], periods_s: Sequence[float | None]) -> list[tuple[Rows, Rows]]:

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification.chance import student_975
 from rig.identification.departures.fit import Enough
 from rig.identification.driven import together
@@ -50,8 +50,6 @@ from rig.run_folder.recording.series import (
     spread_rad,
 )
 from rig.run_folder.recording.stage import StageKind
-
-Array = NDArray[np.float64]
 
 METHOD = "sampled-data"
 POLISHED = 3  # number of starts that are iterated

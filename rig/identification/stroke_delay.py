@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification.preprocessing import from_recording
 from rig.model.compiled import motion
 from rig.model.step import Plant
@@ -15,8 +16,6 @@ from rig.run_folder.recording.errors import IdentifyError, RecordingError
 from rig.run_folder.recording.recording import Recording
 from rig.run_folder.recording.series import TimeSeries
 from rig.run_folder.recording.stage import StageKind
-
-Array = NDArray[np.float64]
 
 LONGEST_S = 0.15  # delay that is looked for: in the breakaway check a stroke and the pause after it last 0.16 s
 STEP_S = 0.01  # between the first delays that are tried
@@ -195,8 +194,8 @@ class _Strokes(NamedTuple):
         """
         tau, slope, plus, minus, excess = np.exp(np.clip(x, -12.0, 12.0)).tolist()
         motor = Plant(tau, slope * tau, plus, minus, plus * (1.0 + excess), minus * (1.0 + excess), 0.0, 0.0)
-        states = np.empty((self.rows, 3))  # without the checks of Motor.response: it is called a thousand times a run
-        motion.response(motor, (0.0, 0.0, 0.0), (edge_s, self.u_V, 0.0), self.t_s, states)
+        # without the checks of Motor.response: it is called a thousand times a run
+        states = motion.states(motor, (0.0, 0.0, 0.0), (edge_s, self.u_V, 0.0), self.t_s)
         left = self._without_rest(self.y_rad - states[:, 1]) / self.noise_rad
         away = [(x[0] - math.log(TAU_S)) / SPREAD, (x[4] - math.log(EXCESS)) / SPREAD]
         return np.append(left, away)

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification import describing_function
 from rig.identification.descent import Damping, Point, descend
 from rig.identification.estimate import Estimate, student_intervals
@@ -27,8 +27,6 @@ from rig.identification.starts import Start, ridge_starts
 from rig.identification.verdict import judge_reference, settled, unguarded
 from rig.model.compiled import steady_cycle as compiled
 from rig.run_folder.recording.errors import IdentifyError
-
-Array = NDArray[np.float64]
 
 METHOD = "triple-relay"
 FINE_SAMPLING = 120.0  # samples in a cycle: with fewer, averaging cycles that jitter costs more than 4 %
@@ -131,8 +129,7 @@ def residuals(theta: Start, features: Features, h1_V: float, h2_V: float) -> Arr
 
     In this order: z at RC, v at RA, y at RB, y at the extremum, y at RC.
     """
-    values, jacobian = np.empty(5), np.empty((5, 3))
-    compiled.switching_conditions(_logarithmic(theta), (h1_V, h2_V), features[:3], values, jacobian)
+    values, _ = compiled.switching_conditions(_logarithmic(theta), (h1_V, h2_V), features[:3])
     measured, weight = _conditions(features)
     return np.asarray(weight * (values - measured))
 
@@ -290,19 +287,6 @@ def _best(fits: Sequence[Fit], h2_V: float) -> Fit:
         return max(*ratios, abs(theta.fc_V - best.fc_V) / h2_V) <= SAME
 
     return next(fit for fit in fits if near(fit.theta))
-
-
-def features_of(cycle: Cycle) -> Features:
-    """Features of an averaged cycle, with position and integral measured at the edges."""
-    return Features(
-        cycle.t1_s,
-        cycle.t2_s,
-        cycle.t3_s,
-        cycle.y_extremum_rad,
-        cycle.y_rc_rad,
-        cycle.y_rb_rad,
-        cycle.z_rc_rad_s,
-    )
 
 
 def fit(cycle: Cycle, start: Start | None = None) -> Estimate:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 GAP_PERIODS = 2.5  # of the sampling: a longer step between two samples is a gap, unless it is short beside a cycle
 GAP_SHARE = 0.02
+SPREAD = 0.05  # how far settled periods in a row may differ, as a share of a period
 _LEAST_SAMPLES = 30  # of the shortest period
 
 
@@ -32,11 +33,10 @@ class CycleDetector:
 
     min_period_s        30 sampling periods, s
     min_amplitude_rad   20 LSB
-    spread              how far three periods in a row may differ, as a share of a period, and still be settled
 
-    ``settled`` becomes true after three accepted periods in a row that differ by at most ``spread``, and whose
+    ``settled`` becomes true after three accepted periods in a row that differ by at most ``SPREAD``, and whose
     amplitudes differ by at most twice that share. It becomes false at a period that is not accepted, or whose length or
-    amplitude differs from the one before by more than six times ``spread``.
+    amplitude differs from the one before by more than six times ``SPREAD``.
 
     A period with a gap between two samples is left out: the relay switched late in it, and its turning points may not
     have been seen. It neither counts nor unsettles the others.
@@ -46,10 +46,9 @@ class CycleDetector:
     Then the same three follow with the opposite sign.
     """
 
-    def __init__(self, min_period_s: float, min_amplitude_rad: float, spread: float = 0.05) -> None:
+    def __init__(self, min_period_s: float, min_amplitude_rad: float) -> None:
         self.min_period_s = min_period_s
         self.min_amplitude_rad = min_amplitude_rad
-        self.spread = spread
         self.cycles: list[DetectedCycle] = []
         self.settled = False
         self.left_out = 0  # periods with a gap
@@ -135,12 +134,11 @@ class CycleDetector:
             # a relay that decides once a sampling period makes the cycle jitter; only a real change unsettles it
             period, amplitude = self.cycles[-2].period_s, self.cycles[-2].amplitude_rad
             self.settled = (
-                abs(periods[-1] / period - 1.0) < 6.0 * self.spread
-                and abs(amplitudes[-1] / amplitude - 1.0) < 6.0 * self.spread
+                abs(periods[-1] / period - 1.0) < 6.0 * SPREAD and abs(amplitudes[-1] / amplitude - 1.0) < 6.0 * SPREAD
             )
         elif len(last) == 3 and all(c.accepted for c in last):
-            self.settled = max(periods) <= (1.0 + self.spread) * min(periods) and max(amplitudes) <= (
-                1.0 + 2.0 * self.spread
+            self.settled = max(periods) <= (1.0 + SPREAD) * min(periods) and max(amplitudes) <= (
+                1.0 + 2.0 * SPREAD
             ) * min(amplitudes)
 
     def mean(self, last: int = 3) -> tuple[float, float]:

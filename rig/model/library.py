@@ -17,12 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.arrays import Array, Rows
 from rig.core.errors import LibraryError
 from rig.core.package import FOLDER
 from rig.model.library_build import NAME, CompileError, compiled, sources_in
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 CLONE = FOLDER.parent / "firmware" / "motor"  # the sources, in a clone
 
@@ -184,24 +182,12 @@ def given(values: Array | Sequence[float]) -> Array:
     return np.ascontiguousarray(values, dtype=np.float64)
 
 
-def room(count: int) -> Array:
-    """Room for so many numbers that the library works in."""
-    return np.empty(count)
-
-
 def address(values: NDArray[Any]) -> int:
     """Where ``values``, of any unit, are; they have to live as long as the call."""
     try:  # a quarter of the time that the other way takes
         return ctypes.addressof(_START.from_buffer(values.data))
     except (TypeError, ValueError):  # it is read only, or has gaps
         return int(values.ctypes.data)
-
-
-def filled(values: Array, *shape: int) -> int:
-    """Address of ``values``, of any unit, which the library fills. Raises ValueError on another shape or type."""
-    if values.shape != shape or values.dtype != np.float64 or not values.flags.carray:
-        raise ValueError(f"a loop fills a contiguous array of doubles of shape {shape}, not {values.shape}")
-    return address(values)
 
 
 def require_size(values: Array | Rows, count: int, what: str) -> None:

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.model.linear import input_vector, transition
-
-Array = NDArray[np.float64]
 
 # The plane that ends each stage: RA (velocity), RB (position), RC (integral).
 PLANES = np.eye(3)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.model.step import State, glide
-
-Array = NDArray[np.float64]
 
 
 def transition(tau_s: float, h_s: float) -> Array:

@@ -13,16 +13,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.model import friction as friction_laws
 from rig.model.compiled import motion
 from rig.model.friction import Friction
 from rig.model.library import LIBRARY, numbers
 from rig.model.step import Plant
 from rig.model.step import State as State
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -105,14 +103,10 @@ class Motor:
         t, edges, drive = (np.ascontiguousarray(series, float) for series in (t_s, edge_s, edge_u_V))
         if t.ndim != 1 or edges.shape != drive.shape or edges.ndim != 1 or edges.size == 0:
             raise ValueError("t_s, edge_s and edge_u_V must be one-dimensional, edges and drives of one length")
-        if t.size == 0:
-            return np.empty((0, 3))
-        if np.any(np.diff(t) < 0.0) or np.any(np.diff(edges) < 0.0) or edges[0] > t[0]:
+        if np.any(np.diff(t) < 0.0) or np.any(np.diff(edges) < 0.0) or np.any(edges[0] > t[:1]):
             raise ValueError("times must not decrease, and the drive must be known from the first sample on")
-        states = np.empty((t.size, 3))
         v, y, z = map(float, start)
-        motion.response(tuple(self.plant), (v, y, z), (edges, drive, 0.0), t, states)
-        return states
+        return motion.states(self.plant, (v, y, z), (edges, drive, 0.0), t)
 
 
 class MovingPlainMotor:

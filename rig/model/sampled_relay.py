@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+from ctypes import byref
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rig.model.compiled import sampled_relay as compiled
+from rig.core.arrays import Array
+from rig.model.library import LIBRARY, RelayPlan, address, given, numbers, require_size
 from rig.model.motor import Motor, State
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -77,18 +76,11 @@ def relay_test(
     if not motor.has_closed_form:
         raise ValueError("the compiled relay test needs a motor without Stribeck effect")
     first = start or State()
+    added = [np.zeros(t.size) if one is None else given(one) for one in (disturbance.reading_rad, disturbance.drive_V)]
+    for one in added:
+        require_size(one, t.size, "disturbances of a relay test")
+    plan = RelayPlan(*map(address, (t, t_u, *added)), h1_V, h2_V, disturbance.lsb_rad, t.size)
     out = np.empty((t.size, 5))
-    compiled.relay_test(
-        tuple(motor.plant),
-        (float(h1_V), float(h2_V)),
-        (t, t_u),
-        (_or_zeros(disturbance.reading_rad, t), _or_zeros(disturbance.drive_V, t), float(disturbance.lsb_rad)),
-        (float(first.v), float(first.y), 0.0),
-        out,
-    )
+    LIBRARY.relay_test(numbers(*motor.plant), byref(plan), numbers(first.v, first.y, 0.0), address(out))
     y, u, z, v, true_y = (np.ascontiguousarray(column) for column in out.T)
     return SimulatedRelayTest(t, t_u, y, u, z, v, true_y)
-
-
-def _or_zeros(values: Array | None, t_s: Array) -> Array:
-    return np.zeros(t_s.size) if values is None else np.ascontiguousarray(values, dtype=float)

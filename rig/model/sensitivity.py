@@ -9,13 +9,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rig.core.arrays import Array
 from rig.model.compiled import motion
 from rig.model.step import Numbers, Plant
-
-Array = NDArray[np.float64]
 
 
 class Theta(NamedTuple):
@@ -38,9 +34,7 @@ class Theta(NamedTuple):
 
 def position(theta: Theta, edge_s: Array, u_V: Array, t_s: Array) -> Array:
     """Positions at the times ``t_s``, rad. ``edge_s``, ``u_V``: as in ``position_and_jacobian``."""
-    y = np.empty(t_s.size)
-    motion.response(*_motion(theta), (edge_s, u_V, float(theta.delay_s)), t_s, y)
-    return y
+    return motion.positions(*_motion(theta), (edge_s, u_V, float(theta.delay_s)), t_s)
 
 
 def position_and_jacobian(theta: Theta, edge_s: Array, u_V: Array, t_s: Array) -> tuple[Array, Array]:
@@ -51,9 +45,7 @@ def position_and_jacobian(theta: Theta, edge_s: Array, u_V: Array, t_s: Array) -
     Returns y, (n,), rad, and dy/dtheta, (n, 7). Before the first edge the drive is u_V[0]. Derivatives are exact,
     except where a parameter decides *whether* the motor sticks.
     """
-    y, jacobian = np.empty(t_s.size), np.empty((t_s.size, 7))
-    motion.position_and_jacobian(*_motion(theta), (edge_s, u_V, float(theta.delay_s)), t_s, y, jacobian)
-    return y, jacobian
+    return motion.position_and_jacobian(*_motion(theta), (edge_s, u_V, float(theta.delay_s)), t_s)
 
 
 def _motion(theta: Theta) -> tuple[Numbers, Numbers]:

@@ -284,7 +284,7 @@ def _line(entry: Any) -> tuple[str, tuple[Stamp, ListedRun]]:
 
 def _write(path: Path, stamps: dict[str, Stamp], lines: dict[str, ListedRun]) -> None:
     entries = [_head(), *({"stamp": stamps[name], "run": lines[name].as_json()} for name in stamps)]
-    write_whole(path, "".join(json.dumps(entry) + "\n" for entry in entries).encode("utf-8"))
+    write_whole(path, "".join(json.dumps(entry) + "\n" for entry in entries))
 
 
 def _head() -> dict[str, object]:

@@ -28,7 +28,7 @@ from rig.design.tune.uncertain import UncertainMotor
 from rig.identification.known_model import is_printed, printed
 from rig.output.report import write_report
 from rig.run_folder.recording.errors import RecordingError
-from rig.run_folder.recording.folder import CONFIG, RESULT, write_result
+from rig.run_folder.recording.folder import CONFIG, RESULT, json_text, write_whole
 from rig.run_folder.recording.path_kind import require_run
 from rig.run_folder.recording.reader import read_meta, read_result, read_run
 from rig.run_folder.recording.recording import Recording
@@ -297,5 +297,5 @@ def _latency_s(recording: Recording) -> float:
 
 def written_up(folder: Path, result: RunResult, tuned: TunedResult) -> None:
     """Write a tuned loop into the result and the report of the run that drove it. Raises CannotWriteError."""
-    write_result(folder, result.model_copy(update={"tuned": tuned}))
+    write_whole(folder / RESULT, json_text(result.model_copy(update={"tuned": tuned})))
     write_report(folder)

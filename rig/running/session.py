@@ -32,7 +32,7 @@ from rig.model.supply import SupplyReading
 from rig.output.report import write_report
 from rig.run_folder.live.stop_flag import StopFlag
 from rig.run_folder.recording.errors import CannotWriteError, RecordingError
-from rig.run_folder.recording.folder import create_run, write_config, write_meta, write_result
+from rig.run_folder.recording.folder import CONFIG, META, RESULT, create_run, json_text, write_whole
 from rig.run_folder.recording.reader import read_run
 from rig.run_folder.recording.recorder import Recorder
 from rig.run_folder.recording.recording import Floats, Recording
@@ -40,6 +40,7 @@ from rig.run_folder.recording.sink import JsonScalar, RowSink
 from rig.run_folder.recording.stage import Stage, StageKind
 from rig.run_folder.results import JsonObject, RunMeta, RunResult, ScriptCall, TrackingResult
 from rig.run_folder.results.answer_words import NOTHING_TO_IDENTIFY
+from rig.run_folder.results.part import Part
 from rig.running.preflight.loop_settings import guard_settings_of
 from rig.running.run_summary import Findings, least_result, run_meta, run_result, run_time
 
@@ -122,6 +123,16 @@ class Session:
                     "is another folder than the one that this run began in: its files stay as they are",
                     "the rows of this run are where somebody has moved its folder: type `rig identify` on that",
                 )
+
+    def write(self, name: str, what: Part) -> None:
+        """Write a file of the run, strict JSON. Raises CannotWriteError, also where the folder is not the run's."""
+        self.require_own_folder()
+        write_whole(self.folder / name, json_text(what), follows_links=False)
+
+    def add_to_meta(self, **known: object) -> None:
+        """Write keys of meta.json that are known by now. Raises as ``write``."""
+        self.meta = self.meta.model_copy(update=known)
+        self.write(META, self.meta)
 
     def read(self) -> Recording:
         """The rows so far. Parses only the rows since the last call. Raises RecordingError."""
@@ -207,12 +218,12 @@ def _begin(
     latched = [_latched(code, tried) for code in info.acknowledged]
     supply = SupplyReading(info.supply_V, info.supply_at_least, drive.supply_V, drive.bridge_drop_V).objection
     stages = _stages(experiment)
-    meta = run_meta(experiment, bench, what, started)
     settings = guard_settings_of(experiment)
+    meta = run_meta(experiment, bench, what, started)
     folder = create_run(parent, f"{'rehearsal' if meta.rehearsal else what.name}-{experiment.name}", started)
     no_flag = _set_up_flag(stop, folder)
-    write_config(folder, dump(experiment), follows_links=False)
-    write_meta(folder, meta, follows_links=False)
+    for name, text in ((CONFIG, dump(experiment)), (META, json_text(meta))):
+        write_whole(folder / name, text, follows_links=False)
     recorder = Recorder(folder, stages, waits=not isinstance(bench.clock, MonotonicClock))
     loop = Loop(bench.driver, bench.clock, Guard(settings), recorder, experiment.period_s, stop)
     _tell_time(stop, loop, bench.clock)
@@ -300,9 +311,7 @@ def _told_pace(session: Session) -> str:
     if not isinstance(clock, PacedClock):
         return ""
     with suppress(RecordingError):  # a full disk has its own words: the result that follows goes there, too
-        session.require_own_folder()
-        session.meta = session.meta.model_copy(update={"time": run_time(session.bench)})
-        write_meta(session.folder, session.meta, follows_links=False)
+        session.add_to_meta(time=run_time(session.bench))
     stood = "without a stall"
     if clock.stalls:
         times = "once" if clock.stalls == 1 else f"{clock.stalls} times"
@@ -389,8 +398,7 @@ def _write_result(session: Session, outcome: Outcome) -> None:
         notes = [*session.found.notes, *outcome.failures]
         outcome.result = least_result(meta, loop, notes, outcome.fault)
     try:
-        session.require_own_folder()
-        write_result(session.folder, outcome.result, follows_links=False)
+        session.write(RESULT, outcome.result)
     except RecordingError as error:
         outcome.fail(error)
 

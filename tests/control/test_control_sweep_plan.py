@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.control.sweep_plan import Room, TooShortError, sweep_plan
+from rig.control.sweep_plan import SETTLE, TURN, Room, TooShortError, sweep_plan
 
 ROOM = Room((-1.1, 1.1), 4.9, 0.08, 8.0, 120.0)
 
@@ -33,7 +33,8 @@ def test_the_reference_stays_in_the_travel_and_in_the_time(
     y = [plan.at(t).y_rad for t in np.linspace(0.0, 1.01 * plan.duration_s, 400).tolist()]
     assert low < plan.low_rad <= min(y) + 1e-9 and max(y) - 1e-9 <= plan.high_rad < high
     # half of the travel at least is swept at a steady speed, by the fastest sweep too
-    assert 2.0 * plan.run_up_rad <= 0.5 * (plan.high_rad - plan.low_rad) * (1 + 1e-9)
+    run_up_rad = max(plan.speeds_rad_s) * (0.5 * TURN + SETTLE) / plan.bandwidth_1_s
+    assert 2.0 * run_up_rad <= 0.5 * (plan.high_rad - plan.low_rad) * (1 + 1e-9)
 
 
 def test_speed_and_acceleration_are_the_derivatives_of_the_position() -> None:

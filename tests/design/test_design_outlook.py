@@ -38,9 +38,7 @@ def test_it_simulates_the_law_on_the_exact_motor(name: str, start_rad: float) ->
     """A relay takes over from a first reading of zero, strokes from both sides."""
     law, make = TESTS[name]
     tau_s, K, fc_V, asym_V = DEMO
-    n = 300
-    u_V, states = np.empty(n), np.empty((n, 2))
-    compiled.drive(task().belief.plant(0.0), law, (0.01, 0.004), (0.0, start_rad, 0.0), 0, u_V, states)
+    u_V, states, _ = compiled.drive(task().belief.plant(0.0), law, (0.01, 0.004), (0.0, start_rad, 0.0), 0, 300)
     own = make()
     motor = Motor(tau_s, K, coulomb(fc_V), asym_V)
     seen = simulate(motor, own, SECONDS, Sampling(0.01, 0.004, start_rad=start_rad))
@@ -51,9 +49,8 @@ def test_it_simulates_the_law_on_the_exact_motor(name: str, start_rad: float) ->
 @pytest.mark.parametrize("latency_s", [0.004, 0.013, 0.03])
 def test_a_drive_acts_when_its_delay_is_over(latency_s: float) -> None:
     """Of the rows of a test, the drive before the first one is 0 V, and each later one acts a latency after its row."""
-    u_V, states = np.empty(40), np.empty((40, 2))
     law = law_of((Stroke(2.0, 1e3), Stroke(-2.0, -1e3)))
-    compiled.drive(task().belief.plant(0.0), law, (0.01, latency_s), (0.0, 0.0, 0.0), 0, u_V, states)
+    _, states, _ = compiled.drive(task().belief.plant(0.0), law, (0.01, latency_s), (0.0, 0.0, 0.0), 0, 40)
     tau_s, K, fc_V, asym_V = DEMO
     times = 0.01 * np.arange(40.0)
     by_motor = Motor(tau_s, K, coulomb(fc_V), asym_V).response(State(), times, [-1.0, latency_s], [0.0, 2.0])
@@ -68,8 +65,7 @@ def test_its_interval_is_the_bound_of_cramer_and_rao(name: str, is_known: bool) 
     wish = task()
     if is_known:
         wish = replace(wish, belief=replace(wish.belief, covariance=np.diag([0.01, 0.01, 0.01, 0.01, 0.0])))
-    u_V, states = np.empty(n), np.empty((n, 2))
-    compiled.drive(wish.belief.plant(0.0), law, (0.01, wish.delay_s), (0.0, 0.0, 0.0), 0, u_V, states)
+    u_V, _, _ = compiled.drive(wish.belief.plant(0.0), law, (0.01, wish.delay_s), (0.0, 0.0, 0.0), 0, n)
     times = 0.01 * np.arange(float(n))
     steps = Steps(np.append(-1.0, times + wish.delay_s), np.append(0.0, u_V))
     noise = PositionNoise(READING.noise_rad, READING.lsb_rad)

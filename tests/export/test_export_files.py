@@ -17,7 +17,7 @@ from scipy.io import loadmat
 
 from rig.identification import identify
 from rig.output.export import export, matlab_names
-from rig.run_folder.recording.folder import write_result
+from rig.run_folder.recording.folder import json_text, write_whole
 from rig.run_folder.recording.reader import read, read_run
 from rig.run_folder.recording.sample_columns import COLUMNS
 
@@ -45,7 +45,7 @@ RESULT: dict[str, Any] = {
 def run_folder(tmp_path: Path) -> Path:
     folder = tmp_path / "20260101T000000Z-a"
     shutil.copytree(RUN, folder)
-    write_result(folder, RESULT)
+    write_whole(folder / "result.json", json_text(RESULT))
     return folder
 
 

@@ -27,8 +27,9 @@ from rig.identification.motor_law import motor_law
 from rig.identification.thinning import thinned
 from rig.model.friction import coulomb, tustin
 from rig.model.motor import Motor
-from rig.model.real_motor import PARTS, Frame, Pieces, RealMotor, response
+from rig.model.real_motor import PARTS, Frame, RealMotor
 from rig.run_folder.recording.series import TimeSeries
+from shared.pieces import Pieces, response
 
 pytestmark = pytest.mark.long
 

@@ -15,8 +15,9 @@ from rig.identification.estimate import Estimate
 from rig.identification.hanging_load import TOGETHER, behind_a_gear
 from rig.identification.measurements import measurements
 from rig.identification.motor_law import Beginning
-from rig.model.real_motor import Frame, Pieces, RealMotor, response
+from rig.model.real_motor import Frame, RealMotor
 from rig.run_folder.recording.recording import from_columns
+from shared.pieces import Pieces, response
 
 pytestmark = pytest.mark.laws
 

@@ -46,11 +46,12 @@ from rig.identification.plausibility import judge_records
 from rig.identification.preprocessing import evened
 from rig.identification.thinning import COARSEST_PATH_RAD, of_one_step, showing_the_angle, thinned
 from rig.identification.verdict import MORE_CYCLES, ROW_UP, by_prediction, reserved
-from rig.model.real_motor import Frame, MovingMotor, Pieces, RealMotor, index, response
+from rig.model.real_motor import Frame, MovingMotor, RealMotor, index
 from rig.output.report.simulated import simulated
 from rig.run_folder.recording.recording import from_columns
 from rig.run_folder.recording.series import TimeSeries
 from rig.run_folder.results import Answer, GradedNumber
+from shared.pieces import Pieces, response
 
 pytestmark = pytest.mark.long
 

@@ -19,8 +19,9 @@ from rig.identification.departures.rounding import by_rounding
 from rig.identification.motions import repeats
 from rig.identification.motor_law import motor_law
 from rig.identification.noise import Noise
-from rig.model.real_motor import Frame, Pieces, RealMotor, response
+from rig.model.real_motor import Frame, RealMotor
 from rig.run_folder.recording.series import TimeSeries, Window
+from shared.pieces import Pieces, response
 
 STEP_RAD = 2.0 * math.pi / 1024
 PHASES = 40

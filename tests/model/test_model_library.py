@@ -11,7 +11,6 @@ import subprocess
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,11 +22,14 @@ from rig.core.motor_numbers import NUMBERS, PARTS
 from rig.design import compiled as design
 from rig.identification.noise import noise_of
 from rig.model import library, library_build
-from rig.model.compiled import coloured_noise, motion, real_motion, sampled_relay, steady_cycle
+from rig.model.compiled import coloured_noise, motion, real_motion, steady_cycle
 from rig.model.library import LIBRARY
-from rig.model.real_motor import Frame, Pieces, RealMotor, index, response_and_jacobian
+from rig.model.motor import Motor
+from rig.model.real_motor import Frame, RealMotor, index
+from rig.model.sampled_relay import Disturbance, relay_test
 from rig.model.step import Plant, State
 from shared import physics
+from shared.pieces import Pieces, response_and_jacobian
 
 C = library.CLONE
 PLANT = (0.2, 5.0, 0.4, 0.4, 0.5, 0.5, 0.0, 0.0)
@@ -176,32 +178,18 @@ def test_a_library_that_cannot_be_loaded_is_said(tmp_path: Path, monkeypatch: py
         library._loaded()
 
 
-def test_an_array_that_it_cannot_fill_is_refused() -> None:
-    t_s = np.arange(4.0)
-    drive = np.zeros(1), np.ones(1), 0.0
-    misfits: list[Any] = [np.empty(3), np.empty((2, 4)), np.empty((3, 4)).T, np.empty(8)[::2], np.empty(4, np.float32)]
-    for out in misfits:
-        with pytest.raises(ValueError, match="a loop fills a contiguous array of doubles of shape"):
-            motion.response(PLANT, (0.0, 0.0, 0.0), drive, t_s, out)
-    kept = np.empty(4)
-    kept.flags.writeable = False
-    with pytest.raises(ValueError, match="a loop fills"):
-        motion.response(PLANT, (0.0, 0.0, 0.0), drive, t_s, kept)
-
-
 def test_arrays_that_do_not_fit_together_are_refused() -> None:
     """Of the library itself nobody could ask it: it would read beyond their ends."""
     one, two, rows = np.ones(1), np.ones(2), np.zeros(1, dtype=np.int64)
-    y, six = np.empty(2), np.empty((2, 6))
     calls: list[Callable[[], object]] = [
-        lambda: motion.response(PLANT, (0.0, 0.0, 0.0), (two, one, 0.0), two, y),
-        lambda: motion.response(PLANT, (0.0, 0.0, 0.0), (np.empty(0), np.empty(0), 0.0), two, y),
-        lambda: coloured_noise.deviances(one, rows, 1.0, two, two, y),
-        lambda: coloured_noise.deviances(two, rows + 1, 1.0, two, two, y),
-        lambda: sampled_relay.relay_test(PLANT, (1.0, 1.0), (two, one), (two, two, 0.0), (0, 0, 0), np.empty((2, 5))),
-        lambda: steady_cycle.curve(np.ones(5), (1.0, 1.0), np.ones(4), (1, 1), two, y, six),
-        lambda: design.known(np.ones((6, 7)), np.ones((5, 5)), np.empty((5, 5))),
-        lambda: design.drive(PLANT, (False, two, one), (0.01, 0.0), (0.0, 0.0, 0.0), 0, y, np.empty((2, 2))),
+        lambda: motion.states(PLANT, (0.0, 0.0, 0.0), (two, one, 0.0), two),
+        lambda: motion.positions(PLANT, (0.0, 0.0, 0.0), (np.empty(0), np.empty(0), 0.0), two),
+        lambda: coloured_noise.deviances(one, rows, 1.0, two, two),
+        lambda: coloured_noise.deviances(two, rows + 1, 1.0, two, two),
+        lambda: relay_test(Motor(0.2, 5.0), 1.0, 1.0, np.arange(2.0), 0.0, disturbance=Disturbance(one)),
+        lambda: steady_cycle.curve(np.ones(5), (1.0, 1.0), np.ones(4), (1, 1), two),
+        lambda: design.known(np.ones((6, 7)), np.ones((5, 5))),
+        lambda: design.drive(PLANT, (False, two, one), (0.01, 0.0), (0.0, 0.0, 0.0), 0, 2),
         lambda: real_motion.Windows([real_motion.Record(one, one, two, rows + 2, tuple(Frame()))]),
         lambda: real_motion.Windows([real_motion.Record(two, one, two, rows, tuple(Frame()))]),
         lambda: real_motion.Windows([real_motion.Record(one, one, two, rows, tuple(Frame()))]).read(
@@ -220,7 +208,6 @@ def test_what_goes_in_may_be_of_any_order_in_memory() -> None:
     wide[:, 0], wide[:, 1] = t_s, residual
     wide.flags.writeable = False
     assert noise_of(wide[:, 1], wide[:, 0], [400]) == noise_of(residual, t_s, [400])
-    y, same = np.empty(400), np.empty(400)
-    motion.response(PLANT, (0.0, 0.0, 0.0), (np.zeros(1), np.ones(1), 0.0), t_s, y)
-    motion.response(PLANT, (0.0, 0.0, 0.0), (np.zeros(1), np.ones(1), 0.0), wide[:, 0], same)
+    drive = np.zeros(1), np.ones(1), 0.0
+    y, same = (motion.positions(PLANT, (0.0, 0.0, 0.0), drive, one) for one in (t_s, wide[:, 0]))
     assert np.array_equal(y, same) and math.isfinite(y[-1]) and y[-1] > 1.0

@@ -18,18 +18,9 @@ from synthetic import motor as plain_motor
 from rig.core.motor_numbers import NUMBERS
 from rig.model.friction import tustin
 from rig.model.motor import Motor, State
-from rig.model.real_motor import (
-    PARTS,
-    Frame,
-    MovingMotor,
-    Pieces,
-    RealMotor,
-    index,
-    plain,
-    response,
-    response_and_jacobian,
-)
+from rig.model.real_motor import PARTS, Frame, MovingMotor, RealMotor, index, plain
 from rig.model.sensitivity import Theta, position_and_jacobian
+from shared.pieces import Pieces, response, response_and_jacobian
 
 Record = tuple[tuple[np.ndarray, np.ndarray], np.ndarray, Pieces]
 

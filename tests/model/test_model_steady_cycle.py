@@ -27,9 +27,7 @@ def curve(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Position at the RC edge 0; both halves, at times from each one's edge on; and the derivatives."""
     t = np.concatenate([np.linspace(0.0, edges[1], SAMPLES), np.linspace(0.0, edges[3], SAMPLES)])
-    y, jacobian = np.empty(t.size), np.empty((t.size, 6))
-    steady_cycle.curve(np.array(theta), gains, np.array(edges), (SAMPLES, SAMPLES), t, y, jacobian)
-    return t, y, jacobian
+    return t, *steady_cycle.curve(np.array(theta), gains, np.array(edges), (SAMPLES, SAMPLES), t)
 
 
 def reversal_times(theta: Vector, edges: list[float], gains: tuple[float, float] = GAINS) -> tuple[float, ...]:
@@ -107,9 +105,7 @@ def test_the_five_conditions_are_those_of_the_exact_stages_and_so_are_their_deri
     theta = np.array([math.log(tau), math.log(K), fc])
 
     def conditions(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        values, jacobian = np.empty(5), np.empty((5, 3))
-        steady_cycle.switching_conditions(x, GAINS, durations, values, jacobian)
-        return values, jacobian
+        return steady_cycle.switching_conditions(x, GAINS, durations)
 
     values, jacobian = conditions(theta)
     inputs = (1.8 + fc, 1.8 - fc, 0.2 - fc)

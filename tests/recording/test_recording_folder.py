@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rig.run_folder.recording.errors import CannotWriteError, RecordingError
-from rig.run_folder.recording.folder import create_run, write_config, write_meta, write_result
+from rig.run_folder.recording.folder import META, RESULT, create_run, json_text, write_whole
 
 NOW = datetime(2025, 1, 31, 9, 30, 0, tzinfo=UTC)
 
@@ -37,6 +37,10 @@ def test_a_parent_that_is_a_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "runs").write_text("")
     with pytest.raises(RecordingError, match="runs: cannot be written"):
         create_run(tmp_path / "runs", "demo", NOW)
+
+
+def write_result(folder: Path, result: dict[str, object]) -> None:
+    write_whole(folder / RESULT, json_text(result))
 
 
 def test_json_is_strict_and_numpy_is_welcome(tmp_path: Path) -> None:
@@ -76,16 +80,14 @@ def test_a_result_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
 
 
-def test_config_and_meta_are_written_as_given(tmp_path: Path) -> None:
-    write_config(tmp_path, "name: démo\n")
-    write_meta(tmp_path, {"backend": "simulated"})
+def test_text_is_written_as_utf_8(tmp_path: Path) -> None:
+    write_whole(tmp_path / "config.yaml", "name: démo\n")
     assert (tmp_path / "config.yaml").read_bytes() == "name: démo\n".encode()
-    assert json.loads((tmp_path / "meta.json").read_text()) == {"backend": "simulated"}
 
 
 def test_a_missing_folder_is_an_error_that_names_the_file(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"gone/meta\.json: cannot be written: No such file"):
-        write_meta(tmp_path / "gone", {})
+        write_whole(tmp_path / "gone" / META, "{}")
 
 
 def test_a_link_that_waits_in_the_folder_is_never_written_through(
@@ -119,11 +121,8 @@ def test_a_run_that_goes_on_writes_through_no_link_in_the_place_of_its_folder(tm
     """A folder of runs may be one that others write in, too. A link that a user names is followed."""
     (victim := tmp_path / "victim").mkdir()
     (folder := tmp_path / "run").symlink_to(victim)
-    for write in (write_meta, write_result):
-        with pytest.raises(CannotWriteError, match="its folder is a link"):
-            write(folder, {}, follows_links=False)
     with pytest.raises(CannotWriteError, match="its folder is a link"):
-        write_config(folder, "name: run\n", follows_links=False)
+        write_whole(folder / META, "{}", follows_links=False)
     assert list(victim.iterdir()) == []
-    write_meta(folder, {})
+    write_whole(folder / META, "{}")
     assert [path.name for path in victim.iterdir()] == ["meta.json"]

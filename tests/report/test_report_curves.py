@@ -14,8 +14,8 @@ import pytest
 from command_line import rig
 from synthetic_run import write_run
 
+from rig.core.arrays import Array
 from rig.identification import Identification, identify
-from rig.identification.estimate import Array
 from rig.output.report import fitted, model_curves, write_report
 from rig.output.report.source import load
 from rig.output.report.style import AbsentError

@@ -15,8 +15,9 @@ from bam.__main__ import recordings, tried
 from bam.records import Case, Record, Truth, records_of
 from bam.servo import Friction, Load, Servo
 from rig.identification import identify
-from rig.model.real_motor import Frame, Pieces, RealMotor, response
+from rig.model.real_motor import Frame, RealMotor
 from rig.run_folder.recording.series import Steps
+from shared.pieces import Pieces, response
 
 # Rhoban/bam, bam/params: the XL330 with models M1 and M4
 M1 = {

@@ -16,9 +16,10 @@ from real_records.scores import FIGURES, Seen, by_table, figures, laws_shared, l
 from real_records.siblings import next_record, pairs_that_agree
 from rig.identification import identify
 from rig.identification.identification import Identification
-from rig.model.real_motor import Frame, Pieces, RealMotor, response
+from rig.model.real_motor import Frame, RealMotor
 from rig.run_folder.recording.recording import from_columns
 from rig.run_folder.results import Answer, GradedNumber
+from shared.pieces import Pieces, response
 
 DATA = Path(os.environ.get("RIG_SHARED_DATA") or "nowhere")
 WITH_DATA = pytest.mark.skipif(

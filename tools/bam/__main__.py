@@ -27,12 +27,13 @@ from bam.records import KINDS, Case, Record, Truth, records_of
 from bam.servo import Load
 from rig.identification import identify
 from rig.identification.identification import Identification
-from rig.model.real_motor import FramedMotor, Pieces, response
+from rig.model.real_motor import FramedMotor
 from rig.output.newton_metres import Load as StatedLoad
 from rig.output.newton_metres import Quantity, newton_metres
 from rig.run_folder.recording.recording import Recording, from_columns
 from rig.run_folder.recording.series import Steps
 from rig.run_folder.results import Answer
+from shared.pieces import Pieces, response
 from shared.table import markdown
 
 FREE = Load()

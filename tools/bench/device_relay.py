@@ -23,6 +23,7 @@ from rig.config import load_campaign
 from rig.config.campaign import Campaign
 from rig.identification import sampled_data, triple_relay
 from rig.identification.cycles import find_cycle
+from rig.identification.mean_cycle import Cycle
 from rig.identification.starts import ridge_starts
 from rig.model.motor import State
 from rig.model.sampled_relay import Disturbance, relay_test
@@ -64,6 +65,14 @@ def relay_record(campaign: Campaign, one: Draw, period_s: float, delay_s: float)
     return TimeSeries(test.t_s[kept], test.y_rad[kept], test.t_u_s[kept], test.u_V[kept])
 
 
+def features_of(cycle: Cycle) -> triple_relay.Features:
+    """Of an averaged cycle, with position and integral measured at the edges."""
+    return triple_relay.Features(
+        *(cycle.t1_s, cycle.t2_s, cycle.t3_s),
+        *(cycle.y_extremum_rad, cycle.y_rc_rad, cycle.y_rb_rad, cycle.z_rc_rad_s),
+    )
+
+
 def identify(one: Draw, record: TimeSeries) -> Found:
     """Every method on one record, against the truth."""
 
@@ -73,7 +82,7 @@ def identify(one: Draw, record: TimeSeries) -> Found:
     cycle = find_cycle(record)
     starts = ridge_starts(cycle.omega_rad_s, cycle.amplitude_rad, cycle.h1_V, cycle.h2_V)
     try:
-        five = error(*triple_relay.solve(triple_relay.features_of(cycle), cycle.h1_V, cycle.h2_V, starts).theta)
+        five = error(*triple_relay.solve(features_of(cycle), cycle.h1_V, cycle.h2_V, starts).theta)
     except IdentifyError:  # the noise has put the edges out of order
         five = math.inf
     curve = triple_relay.fit(cycle)

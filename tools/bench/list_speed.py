@@ -17,7 +17,7 @@ from typing import Any
 
 from bench.benchmark import options, tell
 from rig.run_folder.catalogue import INDEX, catalogue
-from rig.run_folder.recording.folder import META, RESULT, write_meta, write_result
+from rig.run_folder.recording.folder import META, RESULT, json_text, write_whole
 from rig.run_folder.results import (
     BudgetEntry,
     EstimateResult,
@@ -52,8 +52,9 @@ def make(folder: Path, runs: int) -> None:
     for number in range(runs):
         run = folder / f"20261123T{number:06d}Z-run-bench"
         run.mkdir()
-        write_meta(run, RunMeta(name="bench", started_utc="2026-11-23T12:00:00+00:00", script=ScriptCall(name="run")))
-        write_result(run, result)
+        meta = RunMeta(name="bench", started_utc="2026-11-23T12:00:00+00:00", script=ScriptCall(name="run"))
+        write_whole(run / META, json_text(meta))
+        write_whole(run / RESULT, json_text(result))
 
 
 def measure(runs: int) -> dict[str, float]:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emps.record import LARGEST_V, Record
-from rig.model.real_motor import Frame, MovingMotor, Pieces, RealMotor, response, response_and_jacobian
+from rig.model.real_motor import Frame, MovingMotor, RealMotor
+from shared.pieces import Pieces, response, response_and_jacobian
 
 Array = NDArray[np.float64]
 

@@ -17,6 +17,11 @@ _FASTER = 0.97  # a device's bytes may take so much of the nominal time: an Uno'
 ASKED = -1
 
 
+def _units(body: bytes) -> int:
+    """The drive that a request carries."""
+    return int.from_bytes(body, "little", signed=True)
+
+
 class Reading(NamedTuple):
     """A sample that the device has sent.
 
@@ -110,8 +115,8 @@ class SerialLanguage:
         if packet is None or packet.kind not in (Kind.DRIVE, Kind.PULSE, Kind.STOP):
             return None
         if packet.kind == Kind.PULSE:
-            return frames.unpack_drive(packet.body[:2]) * self._unit_V
-        return frames.unpack_drive(packet.body) * self._unit_V if packet.kind == Kind.DRIVE else 0.0
+            return _units(packet.body[:2]) * self._unit_V
+        return _units(packet.body) * self._unit_V if packet.kind == Kind.DRIVE else 0.0
 
     def is_stop(self, request: bytes) -> bool:
         """STOP."""

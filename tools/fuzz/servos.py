@@ -50,7 +50,6 @@ def packets(data: bytes) -> None:
         for frame in frames:
             try:
                 codec.status_of(frame)
-                dynamixel.fast_statuses(frame, {1: 4, 2: 1})
             except ValueError:
                 pass
             except AttributeError:

@@ -116,13 +116,13 @@ def _number_of(port: Any) -> str | None:
     return number if fits and number.lstrip("0") not in _NO_NUMBERS else None
 
 
-def check_adapter(device: str, assumed: Adapter, key: str = "daq.adapter", root: Path = _ROOT) -> None:
+def check_adapter(device: str, assumed: Adapter, key: str = "daq.adapter") -> None:
     """Compare the adapter of an open port with the one that rig computes its times for.
 
     A quicker or an unknown adapter passes.
     Raises Fault CONFIG_MISMATCH, which says what ``key`` is to be.
     """
-    found = usb_port(device, root)
+    found = usb_port(device)
     if found.adapter is None or adapter_delay_s(found.adapter) <= adapter_delay_s(assumed):
         return
     timer = f", or its timer to {LATENCY_MS} ms (`rig doctor` has the line)" if found.adapter == "ftdi" else ""

@@ -1,4 +1,4 @@
-"""A Modbus client on a transport. The silences between frames follow Modbus over Serial Line 1.02."""
+"""Modbus as it goes over a line. The silences between frames follow Modbus over Serial Line 1.02."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from typing import Literal
 
 from typing_extensions import override
 
-from rig.backends.driver import Transport
 from rig.backends.modbus.frames import Frame, Framing, RtuFraming, TcpFraming
 from rig.backends.modbus.requests import Request, check
-from rig.backends.registers.bus import BusClient, Protocol
+from rig.backends.registers.bus import Protocol
 
 
 @dataclass(frozen=True)
@@ -42,7 +41,7 @@ class ModbusLine:
         return 0.0 if self.tcp else self.silence_s
 
 
-class _Modbus(Protocol[Request]):
+class Modbus(Protocol[Request]):
     """Modbus as it goes over a line."""
 
     refusal = "MODBUS_EXCEPTION"
@@ -72,14 +71,3 @@ class _Modbus(Protocol[Request]):
     @override
     def wire_s(self, n_bytes: int) -> float:
         return self._line.wire_s(n_bytes)
-
-
-class ModbusClient(BusClient[Request]):
-    """Asks one device on a line.
-
-    transport  an open port; times are in its clock, s
-    line       how the device is reached
-    """
-
-    def __init__(self, transport: Transport, line: ModbusLine) -> None:
-        super().__init__(transport, _Modbus(line))

@@ -1,6 +1,6 @@
 """A Modbus device as a ``Driver``: a device on a register bus, with what Modbus alone has.
 
-The config says what each register means; ``rig.backends.modbus.client`` exchanges the requests.
+The config says what each register means; ``rig.backends.registers.bus`` exchanges the requests.
 
 With FC23 a tick is one exchange: the drive of the previous tick goes out, and the position at that instant comes back
 (order "write_first"). With separate requests a tick is a read, then a write that its reply confirms ("sample_first").
@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing_extensions import override
 
 from rig.backends.driver import DeviceInfo, DeviceWatchdog, Timeouts, Transport
-from rig.backends.modbus.client import ModbusClient, ModbusLine
+from rig.backends.modbus.client import Modbus, ModbusLine
 from rig.backends.modbus.registers import RegisterMap
 from rig.backends.modbus.requests import (
     Request,
@@ -25,7 +25,7 @@ from rig.backends.modbus.requests import (
     registers_of,
     writing,
 )
-from rig.backends.registers.bus import Reply
+from rig.backends.registers.bus import BusClient, Reply
 from rig.backends.registers.driver import RegisterDriver
 from rig.backends.registers.map import OFF, Register, RegisterSpan
 from rig.core.calibration import Scaling
@@ -60,7 +60,7 @@ class ModbusDriver(RegisterDriver[Request]):
     ) -> None:
         super().__init__(
             transport,
-            ModbusClient(transport, line),
+            BusClient(transport, Modbus(line)),
             registers,
             scaling,
             timeouts,

@@ -40,18 +40,15 @@ def of_config(d: DeviceSetup) -> dict[str, tuple[str, str | int | bool | None]]:
     }
 
 
-def flash_line(d: DeviceSetup, board: str | None = None) -> str:
-    """The whole command, for people. If the config does not name the bridge: one command for each bridge.
-
-    board  "uno" or "pico"; None: as far as the config tells, by its converter or its emulated port
-    """
+def flash_line(d: DeviceSetup) -> str:
+    """The whole command, for people. If the config does not name the bridge: one command for each bridge."""
     baud = d.daq.baud if d.daq.baud in CHIP_BAUDS else max(CHIP_BAUDS)
     parts = "" if d.tachometer is None else " --tachometer"
     home = None
     if d.sensor.encoder is not None:
         home = d.sensor.encoder.home
         parts += " --encoder" + ("" if home is None else " --end-switches")
-    named = " --board pico" if (board or board_of(d)) == "pico" else ""
+    named = " --board pico" if board_of(d) == "pico" else ""
     port = shlex.quote(d.daq.port or "PORT")
     number = "" if d.daq.usb_serial is None else f" --usb-serial {shlex.quote(d.daq.usb_serial)}"
 

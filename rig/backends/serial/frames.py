@@ -475,12 +475,6 @@ def pack_zero(counts: int) -> bytes:
     return _ZERO.pack(counts)
 
 
-def unpack_drive(body: bytes) -> int:
-    """Signed drive units from the body of DRIVE."""
-    (units,) = _DRIVE.unpack(body)
-    return int(units)
-
-
 def crc16(data: bytes) -> int:
     """CRC-16/IBM-3740: polynomial 0x1021, start 0xFFFF; 0x29B1 for b"123456789"."""
     return crc_hqx(data, 0xFFFF)

@@ -19,11 +19,11 @@ from rig.backends.servo.packets import Skipped as Skipped
 
 LONGEST = 1024  # bytes of a packet; dynamixel-sdk sends and takes no longer one
 SHORTEST = 10
+CLEAR_TURNS = bytes((0x01, 0x44, 0x58, 0x4C, 0x22))  # what Clear wants to hear before it forgets the turns
 
 _HEADER = b"\xff\xff\xfd\x00"
 _BEGIN, _STUFFED = b"\xff\xff\xfd", b"\xff\xff\xfd\xfd"
 _TRINOMIAL = 0x8003  # x^15 + x + 1
-_TURNS = bytes((0x01, 0x44, 0x58, 0x4C, 0x22))  # what Clear wants to hear before it forgets the turns
 
 
 class Instruction(IntEnum):
@@ -59,15 +59,15 @@ ERRORS: Mapping[int, str] = {
 }
 
 
-def crc16(data: bytes, start: int = 0) -> int:
-    """CRC-16 of bytes, polynomial 0x8005, high bit first; ``start``: that of the bytes before.
+def crc16(data: bytes) -> int:
+    """CRC-16 of bytes, polynomial 0x8005, high bit first.
 
     The bits are a polynomial, and the CRC is its rest by x^16 + x^15 + x^2 + 1 = (x + 1)(x^15 + x + 1). By the second
     factor x^(15 n) is x^n + 1 where n is a power of 2: about half of all bits are folded onto the others at once. The
     first one says that the rest has as many ones as the whole, but for an even number. No table: between two ticks the
     processor has forgotten it.
     """
-    whole = rest = int.from_bytes(data, "big") << 16 ^ start << 8 * len(data)
+    whole = rest = int.from_bytes(data, "big") << 16
     for far, near in _folds(len(data)):
         high = rest >> far
         rest ^= high << far ^ high << near ^ high
@@ -159,13 +159,7 @@ def _word(value: int) -> bytes:
 
 
 _requests = Requests(lambda id, code, parameters: Frame(id, code, parameters).encode(), _word)
-ping, read, write, reg_write = _requests.ping, _requests.read, _requests.write, _requests.reg_write
-action, reboot, sync_read, sync_write = _requests.action, _requests.reboot, _requests.sync_read, _requests.sync_write
-
-
-def clear_turns(id: int) -> bytes:
-    """Have the position fall back into one turn; only at rest."""
-    return Frame(id, Instruction.CLEAR, _TURNS).encode()
+ping, read, write, reboot = _requests.ping, _requests.read, _requests.write, _requests.reboot
 
 
 # ---------------------------------------------------------------------- answers
@@ -211,34 +205,11 @@ def status_of(frame: Frame) -> Status:
     return Status(frame.id, error & ~ALERT, bool(error & ALERT), frame.parameters[1:])
 
 
-def fast_statuses(frame: Frame, lengths: Mapping[int, int]) -> list[Status]:
-    """The answers in the one packet that a fast read brings: error, id, data and CRC of each servo, in a row.
-
-    lengths  bytes of data by id, in the order of the request
-    Each CRC covers the packet from its header to its place; the last is that of the packet. Raises ValueError for
-    another packet, other ids, another length, or an inner CRC that does not fit.
-    """
-    if not _is_fast_reply(frame.id, frame.instruction):
-        raise ValueError("that is no answer to a fast read")
-    whole = frame.encode()
-    expected = sum(lengths.values()) + 4 * len(lengths) - 2
-    if len(frame.parameters) != expected:
-        raise ValueError(f"{len(frame.parameters)} bytes where {expected} answer")
-    out, at = [], 8
-    for id, length in lengths.items():
-        error, sender = whole[at], whole[at + 1]
-        if sender != id:
-            raise ValueError(f"servo {sender} where {id} answers")
-        end = at + 2 + length
-        if crc16(whole[:end]) != whole[end] | whole[end + 1] << 8:
-            raise ValueError(f"CRC of servo {id}")
-        out.append(Status(id, error & ~ALERT, bool(error & ALERT), whole[at + 2 : end]))
-        at = end + 2
-    return out
-
-
 def fast_status(statuses: Iterable[Status]) -> bytes:
-    """The one packet that servos write together, as ``fast_statuses`` takes it. Raises ValueError for none."""
+    """The one packet that servos write together, in a row. Raises ValueError for none.
+
+    Error, id, data and CRC of each; each CRC covers the packet from its header to its place.
+    """
     listed = list(statuses)
     if not listed:
         raise ValueError("an answer of no servo")

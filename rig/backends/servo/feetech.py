@@ -114,8 +114,7 @@ def _number(value: int) -> bytes:
 
 
 _requests = Requests(lambda id, code, parameters: Frame(id, code, parameters).encode(), _number)
-ping, read, write, reg_write = _requests.ping, _requests.read, _requests.write, _requests.reg_write
-action, reboot, sync_read, sync_write = _requests.action, _requests.reboot, _requests.sync_read, _requests.sync_write
+ping, read, write, reboot = _requests.ping, _requests.read, _requests.write, _requests.reboot
 
 
 # ---------------------------------------------------------------------- answers

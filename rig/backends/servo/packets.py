@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from enum import IntEnum
 from typing import Generic, NamedTuple, TypeVar
 
@@ -149,7 +149,7 @@ class Instruction(IntEnum):
 
 
 class Requests:
-    """The requests of both protocols, as they are on the wire.
+    """The requests of both protocols that rig sends, as they are on the wire.
 
     encode  a packet of id, instruction and parameters
     number  an address or a length, as bytes; raises ValueError for one that does not fit
@@ -170,36 +170,6 @@ class Requests:
         """Write bytes from ``address`` on; BROADCAST writes to all, and none answers."""
         return self._encode(id, Instruction.WRITE, self._number(address) + data)
 
-    def reg_write(self, id: int, address: int, data: bytes) -> bytes:
-        """Have bytes written at the next action."""
-        return self._encode(id, Instruction.REG_WRITE, self._number(address) + data)
-
-    def action(self, id: int = BROADCAST) -> bytes:
-        """Do what was registered."""
-        return self._encode(id, Instruction.ACTION, b"")
-
     def reboot(self, id: int) -> bytes:
         """Start the servo anew: RAM registers as shipped, errors gone."""
         return self._encode(id, Instruction.REBOOT, b"")
-
-    def sync_read(
-        self, address: int, length: int, ids: Iterable[int], instruction: int = Instruction.SYNC_READ
-    ) -> bytes:
-        """Ask several servos for the same registers; each answers for itself, in this order.
-
-        Raises ValueError for no servo, or for one twice.
-        """
-        listed = list(ids)
-        if not listed or len(set(listed)) != len(listed):
-            raise ValueError(f"ids {listed}: at least one, and each once")
-        parameters = self._number(address) + self._number(length) + bytes(map(one_id, listed))
-        return self._encode(BROADCAST, instruction, parameters)
-
-    def sync_write(self, address: int, data: Mapping[int, bytes]) -> bytes:
-        """Write the same registers of several servos, by id; none answers. Raises ValueError for unequal lengths."""
-        lengths = {len(values) for values in data.values()}
-        if len(lengths) != 1:
-            raise ValueError("a sync write takes the same number of bytes for each of at least one servo")
-        parameters = self._number(address) + self._number(lengths.pop())
-        parameters += b"".join(bytes((one_id(id),)) + values for id, values in data.items())
-        return self._encode(BROADCAST, Instruction.SYNC_WRITE, parameters)

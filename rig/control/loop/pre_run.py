@@ -42,7 +42,7 @@ class Rehearsed(Law, Protocol):
     largest_u_V: float
 
 
-def pre_run(law: Rehearsed, bench: PreRunBench, guard: GuardSettings, seed: int = 0) -> str | None:
+def pre_run(law: Rehearsed, bench: PreRunBench, guard: GuardSettings) -> str | None:
     """Run ``law`` on a simulated bench. Returns why it must not drive the real bench; None if it may.
 
     It must not if it leaves the soft limits, asks for more than the largest drive, or ends with a fault.
@@ -70,8 +70,8 @@ def pre_run(law: Rehearsed, bench: PreRunBench, guard: GuardSettings, seed: int 
         parameters,
         Scaling(calibration, plain, bench.rail_counts),
         SimulatedLatency(bench.latency_s, 0.0),
-        seed,
-        bench.order,
+        seed=0,
+        order=bench.order,
     )
     simulated_guard = Guard(guard)
     simulated_guard.sign_proven = True

@@ -17,8 +17,9 @@ from scipy.linalg import expm, solve_discrete_lyapunov
 
 from rig.control.observer import MotorObserver
 from rig.control.state_feedback import Gains
+from rig.core.arrays import Array
 from rig.design.tune.uncertain import LinearMotor
-from rig.model.linear import Array, input_vector, transition
+from rig.model.linear import input_vector, transition
 
 POINTS = 800  # of the frequency response
 LOWEST = 1e-4  # first frequency over the highest

@@ -10,10 +10,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from rig.control.state_feedback import Loop
+from rig.core.arrays import Array
 from rig.design.tune.program import Trial
 from rig.design.tune.trial import Record, driven, shaft_of, smoothed, step_shown
 from rig.design.tune.tuning import Tuned
-from rig.model.library import Array
 
 DRAWS = 79  # motors; the outermost one at each end is left out: a next motor is inside in 76 of 80 cases
 OUTSIDE = 0.025  # share of motors at each end

@@ -8,11 +8,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.design.tune.margins import Margins
 from rig.design.tune.prediction import MEASURES, Prediction, shown_of, speed_of
 from rig.design.tune.trial import Record, smoothed
 from rig.design.tune.tuning import Tuned, as_pid
-from rig.model.library import Array
 from rig.run_folder.results import JsonObject
 from rig.run_folder.results.tuned import (
     TunedCurve,

@@ -11,9 +11,10 @@ from scipy.signal import savgol_filter
 
 from rig.control.law import OwnLaw
 from rig.control.state_feedback import Loop
+from rig.core.arrays import Array
 from rig.core.signals import Sample
 from rig.design.tune.margins import periods_of
-from rig.model.motor import Array, MovingPlainMotor
+from rig.model.motor import MovingPlainMotor
 from rig.model.real_motor import FramedMotor, MovingMotor
 
 BAND = 0.05  # of the step: within it the shaft has settled

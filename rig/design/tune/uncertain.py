@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.model.motor import Array, Motor
+from rig.core.arrays import Array
+from rig.model.motor import Motor
 from rig.model.real_motor import FramedMotor
 
 OF = ("tau_s", "K_rad_s_V", "fc_V", "bias_V", "delay_s")

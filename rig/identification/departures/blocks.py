@@ -15,14 +15,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification.departures.fit import Enough, Fit, Problem, solve
 from rig.identification.departures.fit import start as begin
 from rig.identification.departures.pieces import Cut
 from rig.identification.noise import WHITE
 from rig.identification.side_by_side import side_by_side
 from rig.model.real_motor import RealMotor
-
-Array = NDArray[np.float64]
 
 BLOCK_S, BLOCK_TAUS = 2.0, 3.0  # length of a block: the longer of both,
 FEWEST_BLOCKS = 8  # but so short that there are as many

@@ -20,14 +20,13 @@ from itertools import chain, combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification.chance import log_normal_below, normal_below
 from rig.identification.departures.in_place import InPlace
 from rig.identification.departures.nuisances import OF, Nuisance, Nuisances
 from rig.identification.departures.profile import Profile
 from rig.identification.stated_errors import ScaleErrors
 from rig.model.real_motor import RealMotor
-
-Array = NDArray[np.float64]
 
 COVERAGE = 2.0  # of an expanded uncertainty: 95 %
 PRESENT = 0.1  # probability of a law before the record is looked at

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification.departures.blocks import Blocks, share_cut
 from rig.identification.departures.departure import NOTHING, Bench, Departure
 from rig.identification.departures.fit import (
@@ -39,8 +40,6 @@ from rig.identification.departures.prediction import rise_by_law
 from rig.identification.noise import WHITE
 from rig.identification.side_by_side import side_by_side
 from rig.model.real_motor import RealMotor, index
-
-Array = NDArray[np.float64]
 
 ORDER = "cogging_per_rad"  # of a wave over the angle: without its size it has no effect on the motion
 CYCLES = (0.9, 2.5, 6.0)  # lengths of the pieces, in cycles; then the whole tests

@@ -13,7 +13,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.identification.departures.blocks import Blocks, share_cut
 from rig.identification.departures.budget import Entry
@@ -24,8 +23,6 @@ from rig.identification.departures.laws import DAMPINGS, FREQUENCIES_RAD_S
 from rig.identification.departures.outside import by_coupling
 from rig.identification.departures.pieces import Coupling, Cut
 from rig.identification.lowest import lowest
-
-Array = NDArray[np.float64]
 
 LEAVES = 3.0  # residual over the sensor's noise from which on a coupling is looked for
 ITERATIONS, FINER = 6, 8

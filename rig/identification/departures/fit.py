@@ -12,13 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification.departures.pieces import Cut
 from rig.identification.descent import descend
 from rig.identification.noise import WHITE, Noise
-from rig.model.library import LIBRARY, BorderedRows, address, given, room
+from rig.model.library import LIBRARY, BorderedRows, address, given
 from rig.model.real_motor import Readings, RealMotor, index
-
-Array = NDArray[np.float64]
 
 CORE = ("tau_s", "K_rad_s_V", "fc_V", "bias_V")
 DELAY = "delay_s"
@@ -448,7 +447,7 @@ def solved(matrix: Array, gradient: Array, held: NDArray[np.bool_], singular: fl
                can be
     """
     m = gradient.size
-    step, work = np.empty(m), room(m * (m + 4))
+    step, work = np.empty(m), np.empty(m * (m + 4))
     table, pull = given(matrix), given(gradient)  # the library reads them where they are: they live as long as this
     into = address(held), m, address(work), address(step)
     if LIBRARY.normal_step(address(table), address(pull), *into) > max(REGULAR, singular):

@@ -12,8 +12,8 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification.departures.choice import FAINT, TRIAL_ITERATIONS, TRIED, Chooser
 from rig.identification.departures.departure import Departure
 from rig.identification.departures.fit import Fit, refitted, solve, unit
@@ -21,8 +21,6 @@ from rig.identification.departures.nuisances import OF, Nuisance, Nuisances
 from rig.identification.departures.profile import best_size
 from rig.identification.noise import WHITE
 from rig.identification.side_by_side import side_by_side
-
-Array = NDArray[np.float64]
 
 FAR = 0.1  # of tau, K or friction: what the linear model would move it by, beyond which a fit is asked
 FAR_WORSE = 2.0  # what another law leaves beyond the sensor's noise over what the fit leaves: then it counts no more

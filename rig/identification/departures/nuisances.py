@@ -11,11 +11,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification.departures.choice import Columns
 from rig.identification.departures.departure import NOTHING, Bench, Departure
 from rig.identification.departures.fit import POSITIVE, Fit, Rows, unit
 
-Array = NDArray[np.float64]
 Begins = NDArray[np.int64]
 
 OF = ("tau_s", "K_rad_s_V", "fc_V")

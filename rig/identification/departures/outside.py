@@ -28,8 +28,8 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification.departures.choice import TRIAL_ITERATIONS, Chooser, without
 from rig.identification.departures.departure import Bench, Departure
 from rig.identification.departures.fit import Fit, refitted, solve
@@ -49,8 +49,6 @@ from rig.identification.departures.nuisances import OF
 from rig.identification.departures.pieces import Coupling, Cut
 from rig.model.compiled.row_filter import filtered
 from rig.run_folder.recording.series import Steps
-
-Array = NDArray[np.float64]
 
 (COGGING,) = (law for law in DEPARTURES if law.name == "cogging")
 SIZES = (0.5, 1.0, 1.5)  # of the sag that was found

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.arrays import Array, Rows
 from rig.identification.departures.departure import Bench
 from rig.identification.motions import Motion, fitted_rows, repeats
 from rig.identification.noise import Noise, noise_of
@@ -24,9 +25,6 @@ from rig.model.compiled.real_motion import Windows
 from rig.model.compiled.row_filter import filtered
 from rig.model.real_motor import Frame, Readings, RealMotor, readings_of, windows_of
 from rig.run_folder.recording.series import TimeSeries, Window
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 FEWEST_ROWS = 12  # of a piece
 NEAR_ROWS = 4  # rows on either side that show a piece's start
@@ -317,7 +315,7 @@ class Cut:
     ) -> Readings:
         """Predicted readings of all rows, rad, with their derivatives by the numbers ``free`` and the starts.
 
-        waves_per_rad   as ``response_and_jacobian``
+        waves_per_rad   as of ``rig.model.real_motor.readings_of``
         """
         found = readings_of(motor, self._records, self._begins(starts), free, waves_per_rad)
         if self.coupling is None:

@@ -16,10 +16,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification.departures.departure import Bench, Departure
 from rig.identification.departures.fit import DELAY, POSITIVE, Fit, sums_of_pieces, unit
 
-Array = NDArray[np.float64]
 Share = NDArray[np.int64]
 
 SHARES = 4  # of the pieces: every fourth piece is predicted from the others

@@ -13,14 +13,12 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification.departures.choice import TRIAL_ITERATIONS, Chooser, without
 from rig.identification.departures.departure import Bench, Departure
 from rig.identification.departures.fit import Fit, Normal, refitted, solve, unit
 from rig.identification.departures.nuisances import OF
-
-Array = NDArray[np.float64]
 
 STEPS = 3  # of a fit, from the size before
 HOPELESS = 60.0  # rise of the sum of squares from which on larger sizes are left out

@@ -11,11 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.identification.departures.fit import Fit, unit
-
-Array = NDArray[np.float64]
 
 WAVES = 8  # of the sawtooth: they have 93 % of its power
 LEAST = 1e-3  # of a step: the size of a wave that is left out

@@ -8,8 +8,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array, Rows
 from rig.core.motor_numbers import Numbers, RealMotor
 from rig.model.library import (
     LIBRARY,
@@ -19,11 +19,7 @@ from rig.model.library import (
     address,
     given,
     require_size,
-    room,
 )
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 NUMBERS = len(RealMotor._fields)
 V0, Y0 = NUMBERS, NUMBERS + 1  # columns of a piece's start, behind the numbers of the motor
@@ -92,7 +88,7 @@ class Windows:
         require_size(vector, NUMBERS, "numbers of a motor")
         columns = which.size
         size = 7 * self._longest if plain else _COLUMN_ROWS * columns + _STAGE_ROWS * (WAVES + 2 * orders.size)
-        work, y_rad, jacobian = room(size), np.empty(self.rows), np.empty((self.rows, columns))
+        work, y_rad, jacobian = np.empty(size), np.empty(self.rows), np.empty((self.rows, columns))
         wanted = RealColumns(address(which), address(waves), address(work), columns, orders.size)
         read = LIBRARY.windows_plain if plain else LIBRARY.windows_readings
         into = address(y_rad), address(jacobian)

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.model.library import LIBRARY, address, numbers
-
-Array = NDArray[np.float64]
 
 
 def filtered(

@@ -11,11 +11,10 @@ from ctypes import byref
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rig.model.library import LIBRARY, CycleData, address, filled, given, numbers, require_size
+from rig.core.arrays import Array
+from rig.model.library import LIBRARY, CycleData, address, given, numbers, require_size
 
-Array = NDArray[np.float64]
 CONDITIONS = 5
 NUMBERS = 6
 
@@ -41,30 +40,33 @@ class Data(NamedTuple):
 
 
 def switching_conditions(
-    theta: Array, gains: tuple[float, float], durations: tuple[float, float, float], values: Array, jacobian: Array
-) -> None:
-    """Fill ``values`` (5,): z at RC, v at RA, y at RB, y at RA, y at RC, from odd symmetry, and ``jacobian`` (5, 3).
+    theta: Array, gains: tuple[float, float], durations: tuple[float, float, float]
+) -> tuple[Array, Array]:
+    """Z at RC, v at RA, y at RB, y at RA, y at RC, (5,), from odd symmetry, and their derivatives, (5, 3).
 
     theta   log tau, log K, fc; the columns of the Jacobian in this order
     """
     require_size(theta, 3, "theta")
-    into = filled(values, CONDITIONS), filled(jacobian, CONDITIONS, 3)
-    LIBRARY.cycle_conditions(numbers(*theta), numbers(*gains), numbers(*durations), *into)
+    found = np.empty(CONDITIONS), np.empty((CONDITIONS, 3))
+    LIBRARY.cycle_conditions(numbers(*theta), numbers(*gains), numbers(*durations), *map(address, found))
+    return found
 
 
 def curve(
-    theta: Array, gains: tuple[float, float], edges: Array, halves: tuple[int, int], t_s: Array, y: Array, jac: Array
-) -> None:
-    """Fill ``y`` (n,) with positions of the steady cycle, and ``jac`` (n, 6) with their derivatives.
+    theta: Array, gains: tuple[float, float], edges: Array, halves: tuple[int, int], t_s: Array
+) -> tuple[Array, Array]:
+    """Positions of the steady cycle, (n,), and their derivatives, (n, 6).
 
-    theta    log tau, log K, fc, asym, position at the first RC edge, delay of the edges: as the columns of ``jac``
+    theta    log tau, log K, fc, asym, position at the first RC edge, delay of the edges: as the columns
     The rest as in ``Data``.
     """
     require_size(theta, NUMBERS, "theta")
     t = given(t_s)
     data = _cycle(gains, edges)
     data.t_s, data.samples, data.first_half = address(t), t.size, halves[0]
-    LIBRARY.cycle_curve(numbers(*theta), byref(data), filled(y, t.size), filled(jac, t.size, NUMBERS))
+    found = np.empty(t.size), np.empty((t.size, NUMBERS))
+    LIBRARY.cycle_curve(numbers(*theta), byref(data), *map(address, found))
+    return found
 
 
 def rows(theta: Array, data: Data) -> tuple[Array, Array]:
@@ -75,12 +77,11 @@ def rows(theta: Array, data: Data) -> tuple[Array, Array]:
     count = data.t_s.size or CONDITIONS
     for one in (data.measured, data.weight):
         require_size(one, count, "measured and weight")
-    values, jacobian = np.empty(count), np.empty((count, theta.size))
     if data.t_s.size:
-        curve(theta, data.gains, data.edges, data.halves, data.t_s, values, jacobian)
+        values, jacobian = curve(theta, data.gains, data.edges, data.halves, data.t_s)
     else:
         first, second, third = data.edges.tolist()
-        switching_conditions(theta, data.gains, (first, second, third), values, jacobian)
+        values, jacobian = switching_conditions(theta, data.gains, (first, second, third))
     return data.weight * (values - data.measured), data.weight[:, None] * jacobian
 
 

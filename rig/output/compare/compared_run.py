@@ -9,16 +9,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from rig.core.arrays import Array
 from rig.core.estimators import MAIN
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.path_kind import no_run
 from rig.run_folder.recording.reader import read_meta, read_result
 from rig.run_folder.results import Answer, EstimateResult, FoundLawResult, RunMeta, RunResult, known
-
-Array = NDArray[np.float64]
 
 COVERAGE = 2.0  # of the half widths in a budget
 TYPE_A = "scatter"  # the budget's line of the noise, which the covariance holds already

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.core.errors import CauseError
 from rig.core.estimators import MAIN
 from rig.core.signals import plain
@@ -44,8 +44,6 @@ from rig.run_folder.results.comparison import (
     TrendResult,
 )
 from rig.run_folder.results.meta import REHEARSAL
-
-Array = NDArray[np.float64]
 
 LEVEL = 0.05  # probability of a false alarm of each answer
 MOST_RUNS = 200

@@ -26,7 +26,7 @@ def write_page(found: Comparison, path: Path) -> None:
         few=len(laid_over) < len(found.runs) and len(laid_over),
         backends=_backends(found),
     )
-    write_whole(path, page.encode("utf-8"))
+    write_whole(path, page)
 
 
 def _backends(found: Comparison) -> str:

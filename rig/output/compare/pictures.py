@@ -9,10 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 
+from rig.core.arrays import Array
 from rig.core.estimators import LEADING, MAIN
 from rig.output.report.fitted import LABELS, autocorrelation
 from rig.output.report.model_curves import average, cycles_of, kept_or_fitted
-from rig.output.report.source import Array, ReportedRun
+from rig.output.report.source import ReportedRun
 from rig.output.report.style import COLOURS, INK, LINES, MUTED, AbsentError, Picture, new_figure, plain, render
 from rig.run_folder.recording.errors import IdentifyError, RecordingError
 from rig.run_folder.results import known

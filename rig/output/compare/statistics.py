@@ -10,11 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import chdtrc, stdtr, stdtrit
 
-Array = NDArray[np.float64]
+from rig.core.arrays import Array
 
 LARGEST_RATIO = 1e8  # of the variance between runs to the largest of their own: the search for it ends there
 

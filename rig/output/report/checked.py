@@ -8,9 +8,10 @@ from contextlib import suppress
 import numpy as np
 from matplotlib.axes import Axes
 
+from rig.core.arrays import Array
 from rig.model.error_decay import ErrorDecay
 from rig.model.real_motor import FramedMotor
-from rig.output.report.source import Array, ReportedRun
+from rig.output.report.source import ReportedRun
 from rig.output.report.style import INK, LIMIT, MEASURED, MUTED, AbsentError, Picture, colour, new_figure, note, render
 from rig.run_folder.results import DrivenModel, known
 from rig.run_folder.results.reading import DamagedError, parsed

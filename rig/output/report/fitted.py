@@ -10,11 +10,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from rig.core.arrays import Array
 from rig.core.estimators import MAIN
 from rig.model.real_motor import FramedMotor
 from rig.output.report.budget import budget_in_words
 from rig.output.report.model_curves import average, cycles_of, models, predict_cycles
-from rig.output.report.source import Array, ReportedRun, Span
+from rig.output.report.source import ReportedRun, Span
 from rig.output.report.style import (
     FAINT,
     INK,

@@ -11,9 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import blended_transform_factory
 
+from rig.core.arrays import Array
 from rig.core.estimators import ESTIMATORS
 from rig.output.report.model_curves import central_difference, cycles_of, models, predict_cycles
-from rig.output.report.source import Array, ReportedRun, Span
+from rig.output.report.source import ReportedRun, Span
 from rig.output.report.style import (
     BANDS,
     DRIVE,

@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from rig.core.arrays import Array
 from rig.core.estimators import LEADING, MAIN
 from rig.identification.cycles import find_cycle
 from rig.identification.descent import Point, descend
@@ -17,8 +18,8 @@ from rig.identification.known_model import model_of
 from rig.identification.preprocessing import from_recording
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
-from rig.model.real_motor import FramedMotor, Pieces, response
-from rig.output.report.source import Array, ReportedRun, Span, words_of
+from rig.model.real_motor import FramedMotor, readings_of, windows_of
+from rig.output.report.source import ReportedRun, Span, words_of
 from rig.output.report.style import AbsentError
 from rig.run_folder.recording.curves import Curves, read_curves
 from rig.run_folder.recording.errors import IdentifyError, RecordingError
@@ -169,11 +170,14 @@ def predicted(motor: Motor | FramedMotor, series: TimeSeries, part: slice, delay
     edge, drive = edges[first:stop].copy(), u[first:stop]
     edge[0] = min(edge[0], t[0])
     guess = float(np.polyfit(t[:6] - t[0], y[:6], 1)[0])
+    one_piece = np.zeros(1, dtype=np.int64)
 
     def path(start: Array) -> tuple[Array, Array]:
         v0, y0 = map(float, start)
         if isinstance(motor, FramedMotor):
-            shown = response(motor.motor, motor.frame, (edge, drive), t, Pieces.one(v0, y0))
+            windows = windows_of([(motor.frame, (edge, drive), t, one_piece)])
+            begun = np.array([[v0, y0, np.sign(v0), np.sign(v0)]])  # with play and bristles as a motion leaves them
+            shown = readings_of(motor.motor, windows, begun).y_rad
             return shown, central_difference(t, shown)
         states = motor.response(State(v0, y0), t, edge, drive)
         return states[:, 1], states[:, 0]

@@ -53,7 +53,7 @@ def write_report(
         run, identification = _identify_unfinished(run)
     page = render_page(run, identification)
     path = run.folder / REPORT
-    write_whole(path, page.encode("utf-8"))
+    write_whole(path, page)
     if curves is not None and run.recording is not None:
         write_curves(run.folder, run.recording, curves)
     return path
@@ -86,7 +86,7 @@ def write_identified(found: Identification, records: Sequence[str], path: Path) 
         budget=tables.budget(run),
         notes=found.notes,
     )
-    write_whole(path, page.encode("utf-8"))
+    write_whole(path, page)
 
 
 def _identify_unfinished(run: ReportedRun) -> tuple[ReportedRun, Identification | None]:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from rig.core.arrays import Array
 from rig.identification.identification import Identification
 from rig.identification.known_model import model_of
 from rig.identification.measurements import at_their_times
@@ -17,7 +18,6 @@ from rig.identification.preprocessing import from_recording
 from rig.model.motor import Motor
 from rig.model.real_motor import FramedMotor
 from rig.output.report.model_curves import predicted
-from rig.output.report.source import Array
 from rig.output.report.style import (
     INK,
     MEASURED,

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.config.problems import ConfigError
 from rig.config.yaml12 import parse
@@ -40,7 +39,6 @@ from rig.run_folder.results.estimates import LARGEST
 from rig.run_folder.results.meta import REHEARSAL
 from rig.run_folder.results.reading import salvaged
 
-Array = NDArray[np.float64]
 _P = TypeVar("_P", bound=Part)
 _T = TypeVar("_T")
 

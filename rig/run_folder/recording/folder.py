@@ -51,26 +51,7 @@ def create_run(parent: Path, name: str, now_utc: datetime) -> Path:
             return folder
 
 
-def write_config(folder: Path, text: str, *, follows_links: bool = True) -> None:
-    """Write config.yaml, the resolved configuration. ``follows_links``, and raises, as of ``write_whole``."""
-    write_whole(folder / CONFIG, text.encode("utf-8"), follows_links=follows_links)
-
-
-def write_meta(folder: Path, meta: Part | Mapping[str, object], *, follows_links: bool = True) -> None:
-    """Write meta.json as strict JSON: nan and infinities become null; numpy values become plain ones.
-
-    follows_links  as of ``write_whole``
-    Raises RecordingError if the file cannot be written, TypeError for a value that JSON does not have.
-    """
-    write_whole(folder / META, json_text(meta).encode("utf-8"), follows_links=follows_links)
-
-
-def write_result(folder: Path, result: Part | Mapping[str, object], *, follows_links: bool = True) -> None:
-    """Write result.json, in the way of ``write_meta``."""
-    write_whole(folder / RESULT, json_text(result).encode("utf-8"), follows_links=follows_links)
-
-
-def write_whole(path: Path, content: bytes, *, follows_links: bool = True) -> None:
+def write_whole(path: Path, content: bytes | str, *, follows_links: bool = True) -> None:
     """Write the whole file, or leave the old one. A reader never sees half a file, whatever ends this process.
 
     The new file gets a random name beside the old one, and replaces it at the end. It must not exist before, so a link
@@ -91,7 +72,7 @@ def write_whole(path: Path, content: bytes, *, follows_links: bool = True) -> No
             raise CannotWriteError(path, *_cannot_write(error)) from error
         try:
             with os.fdopen(descriptor, "wb") as file:
-                file.write(content)
+                file.write(content.encode("utf-8") if isinstance(content, str) else content)
                 file.flush()
                 os.fsync(file.fileno())
             os.replace(temporary, last, src_dir_fd=folder, dst_dir_fd=folder)

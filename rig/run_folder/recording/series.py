@@ -9,12 +9,10 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.core.arrays import Array
 from rig.run_folder.recording.errors import IdentifyError
 from rig.run_folder.recording.stage import Stage
-
-Array = NDArray[np.float64]
 
 STAIR_S = 5e-4  # of a drive that is ramped
 FEWEST_ROWS = 20  # of a series that can be fitted

@@ -111,8 +111,8 @@ def save(file: Path, text: str, values: Mapping[Keys, Value]) -> Path:
     new = with_values(text.removeprefix(_BOM), values)
     mode = target.stat().st_mode
     backup = _free_name(target)
-    write_whole(backup, text.encode())
-    write_whole(target, (_BOM + new if text.startswith(_BOM) else new).encode())
+    write_whole(backup, text)
+    write_whole(target, _BOM + new if text.startswith(_BOM) else new)
     for copy in (backup, target):
         copy.chmod(mode)
     return backup

@@ -38,9 +38,9 @@ class Finding:
         return asdict(self)
 
 
-def good(topic: str, words: str, cure: str = "") -> Finding:
+def good(topic: str, words: str) -> Finding:
     """As it should be."""
-    return Finding(topic, "good", words, cure)
+    return Finding(topic, "good", words)
 
 
 def note(topic: str, words: str, cure: str = "") -> Finding:

@@ -40,7 +40,6 @@ _PULSES_HZ = 20_000.0
 _PULSES_TOLERANCE = 0.01
 _CLOCK_PPM = {"uno": 6000.0, "pico": 200.0}  # a ceramic resonator, a crystal
 _BAD_CLOCK_PPM = 20_000.0
-_TICK_S = 1e-3
 _WATCHDOG_SLACK_S = 2e-3  # a tick late, and the phase of the request in its tick
 _ESTOP_S = 0.2e-3  # its interrupt, and the clock's steps
 _RESET_S = 0.5  # of a hung main loop, without a boot loader

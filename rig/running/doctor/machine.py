@@ -34,18 +34,18 @@ _UDEV_RULE = (
 )
 
 
-def examine(run_folder: Path, root: Path = ROOT, *, ports: bool = True) -> Iterator[Finding]:
+def examine(run_folder: Path, *, ports: bool = True) -> Iterator[Finding]:
     """Everything about this machine that can be checked without a run; ``ports``: all its serial ports, too."""
-    yield kernel(root)
-    yield clock_source(root)
-    yield governor(root)
-    yield cores(root)
+    yield kernel()
+    yield clock_source()
+    yield governor()
+    yield cores()
     yield from scheduling()
-    yield kernel_workers(root)
+    yield kernel_workers()
     if ports:
         yield from serial_ports()
-    yield from latency_timers(root)
-    yield modem_manager(root)
+    yield from latency_timers()
+    yield modem_manager()
     yield disk(run_folder)
 
 

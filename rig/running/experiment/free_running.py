@@ -16,11 +16,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import leastsq
 
+from rig.core.arrays import Array
+
 # Private there: the rows of `make campaign-real` belong to the text of rig/identification, so a name there stays as it
 # is.
 from rig.identification.stroke_delay import EXCESS, SLOPE
 from rig.identification.stroke_delay import _Strokes as Strokes
-from rig.run_folder.recording.series import Array, TimeSeries
+from rig.run_folder.recording.series import TimeSeries
 
 _TauOf = Callable[[float, float], float]  # tau, s, of K / tau and friction, V
 

@@ -43,7 +43,6 @@ from rig.model.real_motor import FramedMotor
 from rig.run_folder.live.lease import NAME as LEASE
 from rig.run_folder.live.lease import HeldLease
 from rig.run_folder.recording.errors import IdentifyError, RecordingError
-from rig.run_folder.recording.folder import write_meta
 from rig.run_folder.recording.stage import Stage, StageKind
 from rig.run_folder.results import JogResult, RealTimeReport, TrackingResult
 from rig.run_folder.results.answer_words import beyond_drive
@@ -291,9 +290,7 @@ def _note_real_time(session: Session, done: RealTime) -> None:
         session.found.real_time = report
         granted = ["loop: " + "; ".join(done.granted)] if done.granted else []
         session.found.notes += granted + [f"loop: {line}" for line in done.refused]
-        session.meta = session.meta.model_copy(update={"real_time": report})
-        session.require_own_folder()
-        write_meta(session.folder, session.meta, follows_links=False)
+        session.add_to_meta(real_time=report)
 
 
 def breakaway_check(e: Experiment, drive_units: int | None = None) -> BreakawayCheck:

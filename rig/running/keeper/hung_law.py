@@ -372,7 +372,7 @@ def _say(what: str, cure: str, loop: Loop) -> None:
 def _conclude(loop: Loop, fault: Fault, stopped: list[JsonObject]) -> None:
     """Say it, and write events and result, so that the folder is read as that of any run."""
     from rig.run_folder.recording.errors import RecordingError
-    from rig.run_folder.recording.folder import write_result
+    from rig.run_folder.recording.folder import RESULT, json_text, write_whole
     from rig.run_folder.results import FaultReport, RunResult
 
     _say(str(fault), fault.cure, loop)
@@ -383,7 +383,7 @@ def _conclude(loop: Loop, fault: Fault, stopped: list[JsonObject]) -> None:
         notes=("the process of this run was ended, because its law did not return: nothing was identified",),
     )
     with contextlib.suppress(RecordingError):  # the events say the same
-        write_result(loop.folder, result, follows_links=False)
+        write_whole(loop.folder / RESULT, json_text(result), follows_links=False)
 
 
 def _add_events(loop: Loop, events: list[JsonObject]) -> None:

@@ -17,13 +17,14 @@ from evidence import evidence
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest
 
 from rig.backends.emulated.line_faults import Corruption, Direction
-from rig.backends.modbus.client import ModbusClient, ModbusLine
+from rig.backends.modbus.client import Modbus, ModbusLine
 from rig.backends.modbus.driver import ModbusDriver
 from rig.backends.modbus.emulated.reply_faults import ReplyFault
 from rig.backends.modbus.emulated.rtu_slave import check_sum
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
 from rig.backends.modbus.opening import emulated_io_block, modbus_driver
 from rig.backends.modbus.requests import Request
+from rig.backends.registers.bus import BusClient
 from rig.config import load
 from rig.config.schema import Experiment
 from rig.core.faults import Fault
@@ -339,7 +340,7 @@ def test_an_exchange_quicker_than_the_fastest_so_far_was_executed_on_its_way() -
         def close(self) -> None:
             pass
 
-    client = ModbusClient(Quick(), ModbusLine(tcp=True))
+    client = BusClient(Quick(), Modbus(ModbusLine(tcp=True)))
     request = Request(ReadHoldingRegistersRequest(address=0, count=1), "a register")
     reply = client.asked(request, 0.01)
     assert reply.round_trip_s == pytest.approx(0.2e-3)

@@ -136,7 +136,7 @@ def test_every_body_survives_the_wire(body: Body, seq: int) -> None:
 
 @given(units=i16)
 def test_drive_survives(units: int) -> None:
-    assert frames.unpack_drive(frames.pack_drive(units)) == units
+    assert int.from_bytes(frames.pack_drive(units), "little", signed=True) == units
 
 
 @given(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from rig.backends.servo.emulated.virtual_bus import VirtualServoBus
@@ -51,3 +52,9 @@ class VirtualPort:
 
     def isPacketTimeout(self) -> bool:
         return self.bus.now_s() > self._until_s
+
+
+def violations_in(file: Path) -> list[str]:
+    """What a board has noted so far, in words; without a last line that is torn."""
+    lines = file.read_text(encoding="ascii").split("\n")[:-1] if file.exists() else []
+    return [line.split(",", 2)[2] for line in lines]

@@ -51,7 +51,9 @@ def test_an_exchange_takes_its_bytes(kind: type[Host]) -> None:
 def test_a_duty_and_a_read_go_out_together(kind: type[Host]) -> None:
     host = kind(registers=AT_ONCE)
     drive = host.model.role("drive")
-    both = host.codec.sync_write(drive.address, {1: drive.pack(0)}) + host.codec.read(1, *host.model.telemetry)
+    both = further_requests.sync_write(host.codec, drive.address, {1: drive.pack(0)}) + host.codec.read(
+        1, *host.model.telemetry
+    )
     assert len(host.ask(both)) == 1
     assert [type(heard.frame).__name__ for heard in host.bus.bus.log] == ["Frame", "Frame"]
     first, second = (heard.t_s for heard in host.bus.bus.log)
@@ -62,25 +64,25 @@ def test_a_duty_and_a_read_go_out_together(kind: type[Host]) -> None:
 def test_group_reads_are_answered_in_their_order() -> None:
     host = DynamixelHost(*_others(DynamixelHost, 2, 3), registers=AT_ONCE)
     assert _ids(host.ask(dynamixel.ping())) == [1, 2, 3]
-    assert _ids(host.ask(dynamixel.sync_read(132, 4, [3, 1, 2]))) == [3, 1, 2]
+    assert _ids(host.ask(further_requests.sync_read(dynamixel, 132, 4, [3, 1, 2]))) == [3, 1, 2]
     assert _ids(host.ask(further_requests.bulk_read({2: (132, 4), 1: (146, 1)}))) == [2, 1]
     (frame,) = host.ask(further_requests.fast_sync_read(132, 4, [3, 1]))
-    assert _ids(dynamixel.fast_statuses(frame, {3: 4, 1: 4})) == [3, 1]
+    assert _ids(further_requests.fast_statuses(frame, {3: 4, 1: 4})) == [3, 1]
     (frame,) = host.ask(further_requests.fast_bulk_read({2: (7, 1), 3: (7, 1)}))
-    assert [s.data for s in dynamixel.fast_statuses(frame, {2: 1, 3: 1})] == [b"\x02", b"\x03"]
+    assert [s.data for s in further_requests.fast_statuses(frame, {2: 1, 3: 1})] == [b"\x02", b"\x03"]
 
 
 def test_behind_one_that_is_absent_none_answers() -> None:
     host = DynamixelHost(*_others(DynamixelHost, 2), registers=AT_ONCE)
-    assert _ids(host.ask(dynamixel.sync_read(132, 4, [1, 9, 2]))) == [1]
+    assert _ids(host.ask(further_requests.sync_read(dynamixel, 132, 4, [1, 9, 2]))) == [1]
     cut = host.ask(further_requests.fast_sync_read(132, 4, [1, 9, 2]))
     assert cut and all(isinstance(taken, Skipped) for taken in cut)
     assert host.ask(further_requests.fast_sync_read(132, 4, [9, 1])) == []
     asks_253 = dynamixel.Frame(dynamixel.BROADCAST, 0x8A, b"\x84\x00\x04\x00\x01\xfd").encode()
     assert all(isinstance(taken, Skipped) for taken in host.ask(asks_253))
     other = FeetechHost(*_others(FeetechHost, 2))
-    assert _ids(other.ask(feetech.sync_read(56, 2, [2, 1]))) == [2, 1]
-    assert _ids(other.ask(feetech.sync_read(56, 2, [1, 9, 2]))) == [1]
+    assert _ids(other.ask(further_requests.sync_read(feetech, 56, 2, [2, 1]))) == [2, 1]
+    assert _ids(other.ask(further_requests.sync_read(feetech, 56, 2, [1, 9, 2]))) == [1]
 
 
 @pytest.mark.parametrize("kind", HOSTS)
@@ -88,7 +90,7 @@ def test_group_writes_reach_whom_they_name(kind: type[Host]) -> None:
     host = kind(*_others(kind, 2, 3), registers=AT_ONCE)
     name = "led" if kind is DynamixelHost else "acceleration"
     address = host.model[name].address
-    host.ask(host.codec.sync_write(address, {1: b"\x01", 3: b"\x01"}))
+    host.ask(further_requests.sync_write(host.codec, address, {1: b"\x01", 3: b"\x01"}))
     assert [host.bus.bus.servo(id).value(name) for id in (1, 2, 3)] == [1, 0, 1]
     assert addressed(host.bus.bus) == {1: 1, 3: 1}
     host.ask(host.codec.write(host.codec.BROADCAST, address, b"\x00"))

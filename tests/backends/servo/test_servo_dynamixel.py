@@ -172,11 +172,11 @@ def test_the_position_goes_on_over_turns_and_falls_back() -> None:
     host.sleep(3.0)
     turned = host.read("present_position")
     assert turned > 3 * 4096
-    assert host.status(dynamixel.clear_turns(1)).error == FAILED, "it moves"
+    assert host.status(further_requests.clear_turns(1)).error == FAILED, "it moves"
     host.write("goal_pwm", 0)
     host.sleep(1.0)
     before = host.read("present_position")
-    assert host.status(dynamixel.clear_turns(1)).error == 0
+    assert host.status(further_requests.clear_turns(1)).error == 0
     assert host.read("present_position") == before % 4096
     host.write("goal_pwm", 800)
     host.sleep(2.0)
@@ -229,7 +229,7 @@ def test_a_shadow_id_makes_it_obey_without_a_word() -> None:
     assert host.read("led", id=2) == 1
     host.write("return_delay_time", 100)
     assert host.read("return_delay_time", id=2) == 250, "no EEPROM by its shadow id"
-    assert host.ask(dynamixel.sync_write(65, {1: b"\x00"})) == []
+    assert host.ask(further_requests.sync_write(dynamixel, 65, {1: b"\x00"})) == []
     assert host.read("led", id=2) == 0
     shadow = DynamixelHost(registers={"secondary_id": 100})
     assert shadow.ask(dynamixel.write(100, 65, b"\x01")) == [] and shadow.read("led") == 1
@@ -360,11 +360,11 @@ def test_the_tick_counts_milliseconds() -> None:
 
 def test_a_registered_write_waits_for_the_action() -> None:
     host = DynamixelHost()
-    assert host.status(dynamixel.action(1)).error == NO_INSTRUCTION
-    assert host.status(dynamixel.reg_write(1, 65, b"\x02")).error == RANGE
-    assert host.status(dynamixel.reg_write(1, 65, b"\x01")).error == 0
+    assert host.status(further_requests.action(dynamixel, 1)).error == NO_INSTRUCTION
+    assert host.status(further_requests.reg_write(dynamixel, 1, 65, b"\x02")).error == RANGE
+    assert host.status(further_requests.reg_write(dynamixel, 1, 65, b"\x01")).error == 0
     assert (host.read("registered_instruction"), host.read("led")) == (1, 0)
-    assert host.ask(dynamixel.action()) == []
+    assert host.ask(further_requests.action(dynamixel)) == []
     assert (host.read("registered_instruction"), host.read("led")) == (0, 1)
 
 

@@ -203,9 +203,9 @@ def test_its_supply_and_a_failure() -> None:
 
 def test_instructions() -> None:
     host = _host()
-    assert host.status(feetech.reg_write(1, 41, b"\x09")).errors == 0
+    assert host.status(further_requests.reg_write(feetech, 1, 41, b"\x09")).errors == 0
     assert (host.read("async_write"), host.read("acceleration")) == (1, 0)
-    assert host.ask(feetech.action()) == []
+    assert host.ask(further_requests.action(feetech)) == []
     assert (host.read("async_write"), host.read("acceleration")) == (0, 9)
     assert host.ask(feetech.Frame(1, 0x77).encode()) == []
     assert host.ask(feetech.read(1, 0, 250)) == [], "more than an answer holds"

@@ -18,13 +18,14 @@ from typing import Any, NamedTuple
 import pytest
 from evidence import evidence
 from servo_bench import PROTOCOLS, Bench
+from servo_peers import violations_in
 
 from rig.backends.links.open_link import OpenLink
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.servo import keeper as keepers
 from rig.backends.servo.before import BeforeStore, values_of
 from rig.backends.servo.bus import ServoLink, servo_link
-from rig.backends.servo.emulated.servo_board import ServoBoard, violations_in
+from rig.backends.servo.emulated.servo_board import ServoBoard
 from rig.backends.servo.keeper import ServoKeeper
 from rig.core.faults import Fault
 from rig.core.heartbeat import AT_REST

@@ -15,7 +15,7 @@ import pytest
 import scservo_sdk as scs
 import serial
 from processes import rows, wait_until
-from servo_peers import VirtualPort
+from servo_peers import VirtualPort, violations_in
 
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.emulated.line_faults import CorruptionRate
@@ -23,7 +23,7 @@ from rig.backends.servo import feetech
 from rig.backends.servo.dynamixel import ACCESS, LENGTH, LIMIT, NO_INSTRUCTION, RANGE
 from rig.backends.servo.emulated.bus import LineTimes
 from rig.backends.servo.emulated.servo import ServoOptions
-from rig.backends.servo.emulated.servo_board import ServoBoard, violations_in
+from rig.backends.servo.emulated.servo_board import ServoBoard
 from rig.backends.servo.emulated.virtual_bus import VirtualServoBus
 
 AT_ONCE = {"return_delay_time": 0}
@@ -234,7 +234,7 @@ def test_dynamixel_sdk_on_a_terminal(tmp_path: Path) -> None:
         assert all(read.addParam(id) for id in (1, 2, 7))
         asked(read.txRxPacket, lambda result: result == OK)
         asked(read.fastSyncRead, lambda result: result == OK)
-        wait_until(lambda: [v.what for v in violations_in(noted)] == ["torque on with goal 600"])
+        wait_until(lambda: violations_in(noted) == ["torque on with goal 600"])
         wait_until(lambda: any(row["y_rad"] > 1.0 and row["drive_V"] > 3.0 for row in rows(trace)))
         board.reset()
         asked(lambda: sdk.read1ByteTxRx(port, 1, LED), lambda said: said == (0, OK, 0))

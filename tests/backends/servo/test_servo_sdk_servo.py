@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import further_requests
 import pytest
 from sdk_servo import K_RAD_S_V, SdkServo
 
@@ -42,7 +43,9 @@ def test_a_duty_and_what_comes_of_it(protocol: str) -> None:
     duty = round(0.4 * model.full_drive)
     drive = model.role("drive")
     for _ in range(100):
-        both = codec.sync_write(drive.address, {1: drive.pack(-duty)}) + codec.read(1, *model.telemetry)
+        both = further_requests.sync_write(codec, drive.address, {1: drive.pack(-duty)}) + codec.read(
+            1, *model.telemetry
+        )
         (status,) = ask(both)
         servo.sleep_until(servo.now_s() + 0.01)
     values = model.unpack(status.data, model.telemetry[0])

@@ -38,7 +38,6 @@ _GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
 _LIMITS = {"goal_pwm": "pwm_limit", "goal_current": "current_limit", "goal_velocity": "velocity_limit"}
 _RESET = ("velocity_i_gain", "velocity_p_gain", "position_d_gain", "position_i_gain", "position_p_gain")
 _TICK_TURN = 32_768
-_CLEAR_TURNS = dynamixel.Stream().feed(dynamixel.clear_turns(1))
 
 
 class DynamixelServo(EmulatedServo):
@@ -301,8 +300,7 @@ class DynamixelServo(EmulatedServo):
         return NO_INSTRUCTION if registered is None else self.write(*registered)
 
     def _clear(self, parameters: bytes) -> int:
-        wanted = _CLEAR_TURNS[0]
-        if not isinstance(wanted, Frame) or parameters != wanted.parameters or self.bench.state.v != 0.0:
+        if parameters != dynamixel.CLEAR_TURNS or self.bench.state.v != 0.0:
             return FAILED
         self._fall_into_turn()
         return 0

@@ -11,7 +11,6 @@ from rig.backends.servo.emulated.bus import LineTimes, ServoBus
 from rig.backends.servo.emulated.device import Device
 from rig.backends.servo.emulated.faults import ReplyFault
 from rig.backends.servo.emulated.servo import ServoOptions
-from rig.backends.servo.emulated.violation import Violation
 
 
 class ServoBoard(BoardProcess):
@@ -36,7 +35,7 @@ class ServoBoard(BoardProcess):
         line          times; the time on the wire is kept
         follows_baud  a baud that the host sets on the port is the line's; a servo of another one does not hear it
         reply_fault, corruption   of one servo's answers, of the wire
-        violations    file that each violation is appended to, as ``violations_in`` reads it
+        violations    CSV file that each violation is appended to: time, s, id, what
         Raises EmulationError where it does not start.
         """
         line = LineTimes() if line is None else line
@@ -44,12 +43,3 @@ class ServoBoard(BoardProcess):
         device = Device(tuple(servos), line, follows_baud, reply_fault, corruption)
         options = {} if violations is None else {"violations": str(violations)}
         return self._launch_module("rig.backends.servo.emulated.servo_process", device, link, trace, **options)
-
-
-def violations_in(file: Path) -> list[Violation]:
-    """What a board's file of violations has so far; none where it has not been made."""
-    if not file.exists():
-        return []
-    lines = file.read_text(encoding="ascii").split("\n")[:-1]  # without a last one that is torn
-    cut = [line.split(",", 2) for line in lines]
-    return [Violation(float(t_s), int(id), what) for t_s, id, what in cut]
