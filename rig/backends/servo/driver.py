@@ -393,7 +393,10 @@ class ServoDriver(RegisterDriver[Ask]):
         began_s, apart_s = self._transport.now_s(), STEP_S * (2.0 + 1.0 / _STAGGERED)
         for number in range(_STAGGERED + 1):
             self._client.wait(began_s + number * apart_s - self._transport.now_s())
-            self._values(self._read_span, self._unhurried_reading())
+            reply = self._client.patiently(self._sampling, self._timeout_s)  # its watchdog does not wait longer
+            applied = self._values(self._read_span, reply)["applied"]
+            if abs(applied) > _STEPS_OFF:
+                raise Fault("SECOND_MASTER", f"{self._map.applied} reads {applied:g}, and rig has written 0 alone")
 
     @override
     def _disarm(self) -> None:
