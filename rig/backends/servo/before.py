@@ -56,6 +56,11 @@ class BeforeStore:
         """Where the keeper leaves word of what it did."""
         return None if self.path is None else self.path.with_suffix(".txt")
 
+    @property
+    def is_kept(self) -> bool:
+        """Whether there is something to put back."""
+        return self._values is not None if self.path is None else self.path.exists()
+
     def note(self) -> str:
         """What the keeper of an earlier run did, once; empty where it had nothing to do."""
         if self.note_path is None:

@@ -790,3 +790,34 @@ def test_a_rig_that_opens_the_bus_at_the_same_time_is_told_as_another_master(pro
         bench.bus.bus.another_master(asks, 0.085 + 0.0331 * k)
     with pytest.raises(Fault, match="SECOND_MASTER"):
         bench.opened()
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_who_drives_a_servo_on_while_rig_waits_for_its_rest_does_so_no_longer(protocol: str) -> None:
+    """It turned for a second, as fast as the run's largest drive, and the run told of a stop."""
+    bench = Bench(protocol)
+    bench.armed()
+    bench.tick(0.4)
+    drive = bench.driver._link.write_of(bench.setup.model.roles["drive"], 200).data
+    waits, at_s = bench.driver._await_rest, list[float]()
+
+    def driven() -> None:
+        at_s.append(bench.bus.now_s())
+        bench.bus.bus.another_master(drive, bench.bus.now_s() + 0.006)
+        waits()
+
+    bench.driver._await_rest = driven  # type: ignore[method-assign]
+    assert bench.driver.safe_stop() and not bench.servo.is_on
+    bench.bus.sleep_until(bench.bus.now_s() + 0.01)
+    assert bench.bus.outputs[0][-1][1] == 0.0 and bench.bus.outputs[0][-1][0] - at_s[0] < 0.05
+    assert "another program" in bench.driver.end_words
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_registers_that_could_not_be_put_back_are_told(protocol: str, tmp_path: Path) -> None:
+    bench = Bench(protocol, store=BeforeStore(tmp_path / "servo.json"))
+    bench.armed()
+    bench.driver.safe_stop()
+    bench.servo.is_mute = True
+    bench.driver.close()
+    assert "rig servo restore" in bench.driver.end_words and bench.store.is_kept
