@@ -165,6 +165,10 @@ class Backend(ABC):
     def words(self, d: DeviceSetup) -> str:
         """The device, and whether a real motor may turn, for people."""
 
+    def hand(self, d: DeviceSetup) -> str:
+        """What somebody at a terminal must try before the device is driven, in words; empty: nothing."""
+        return ""
+
     def is_emulated(self, d: DeviceSetup) -> bool:
         """Whether the bench is that of section ``emulated``, so that nothing moves."""
         return False

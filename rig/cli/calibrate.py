@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import shlex
+import signal
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
+from typing import NoReturn
 
 import click
 
@@ -51,7 +55,7 @@ def calibrate(config_path: Path, steps: tuple[str, ...], answers: Path | None, o
         config_path, _lines(answers), echoes=answers is not None or not sys.stdin.isatty(), err=asks_json()
     )
     let_ask()
-    with told(out, "calibrate") as flag:
+    with told(out, "calibrate") as flag, _ended_in_words(config_path):
         terminal.say(Say("At any question `skip` leaves the step out, `quit` ends without writing."))
         done = go_through(opened, steps or tuple(known), out, terminal, flag)
     if done.backup is not None:
@@ -68,6 +72,21 @@ def calibrate(config_path: Path, steps: tuple[str, ...], answers: Path | None, o
             }
         )
     sys.exit(EXIT_FAILED if done.problems else 0)
+
+
+@contextmanager
+def _ended_in_words(file: Path) -> Iterator[None]:
+    """Within the block a SIGTERM ends it as `quit` does, and the device is closed; what drives takes it by itself."""
+    from rig.running.calibrate.session import NotWrittenError
+
+    def ended(number: int, frame: FrameType | None) -> NoReturn:
+        raise NotWrittenError("ended by SIGTERM; nothing is written", f"{file} is as it was")
+
+    before = signal.signal(signal.SIGTERM, ended)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _lines(answers: Path | None) -> Iterator[str]:
@@ -136,7 +155,8 @@ class _Terminal:
         """Nothing: who sits at a terminal sees the bench."""
 
     def writes(self) -> None:
-        """Nothing: Ctrl-C says that it was interrupted, not what is written."""
+        """A SIGTERM is too late now. Ctrl-C says that it was interrupted, not what is written."""
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
     def _echo(self, words: str) -> None:
         click.echo(words, err=self._err)

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NoReturn
 
 import click
-from rich.console import Console
 
+from rig.backends.registry import backend_of
 from rig.backends.serial.ports import CHIP_PORTS
 from rig.cli.shared import EXIT_FAILED, asks_json, fail, say_json
 from rig.cli.terminal import show_run
@@ -43,6 +43,8 @@ def checked(path: Path, pace: float | None = None, *, drives: bool = True, as_ch
 def checked_bench(path: Path, pace: float | None = None, as_checked: str | None = None) -> Experiment:
     """``checked`` for a command that drives a motor. No such port or chip: exits with status 1, before slow imports.
 
+    Raises Fault SERVO_SWITCH_UNTRIED where a hand is needed and nobody can be asked.
+
     pace        seconds of virtual time in a second, as of ``checked``
     as_checked  digest of the file as somebody has confirmed it; another one exits with status 2; None: any
     """
@@ -54,12 +56,15 @@ def checked_bench(path: Path, pace: float | None = None, as_checked: str | None 
     require_emulator(experiment.daq.port)
     say_chip_starts(experiment.daq.port)
     let_ask()
+    device = experiment.device
+    if person.asks is None and (hand := backend_of(device).hand(device)):
+        raise Fault("SERVO_SWITCH_UNTRIED", hand)  # now: once it is open its registers are changed
     return experiment
 
 
 def let_ask() -> None:
     """Have devices ask who sits at this terminal for a hand; in a pipe, or with --json, nobody."""
-    if Console(stderr=True).is_terminal and not asks_json():
+    if sys.stderr.isatty() and not asks_json():  # no colour that is asked for makes a terminal of a pipe
         person.asks = _ask_for
 
 
@@ -80,7 +85,7 @@ def _ask_for(words: str, is_seen: Callable[[], bool]) -> bool:
 
 def say_chip_starts(port: str | None) -> None:
     """Say on a terminal that an emulated chip takes its time to start; in a pipe nothing."""
-    if port in CHIP_PORTS and Console(stderr=True).is_terminal:
+    if port in CHIP_PORTS and sys.stderr.isatty():
         click.echo("starting the emulated chip: some ten seconds, longer on a busy machine ...", err=True)
 
 

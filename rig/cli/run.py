@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 
 import click
-from rich.console import Console
 
 from rig.cli.driving import checked_bench, perform
 from rig.cli.shared import AS_CHECKED, CONFIG, EXIT_FAILED, JSON, OUT, PACE, PATH, asks_json, fail, say_json
@@ -53,7 +52,7 @@ def run(
         from rig.identification.known_model import known_model
 
         known = known_model(model_run, experiment.drive.max_V)
-    if Console(stderr=True).is_terminal and not asks_json():
+    if sys.stderr.isatty() and not asks_json():
         click.echo("opening the bench ...", err=True)
     from rig.running.experiment import script
 

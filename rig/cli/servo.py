@@ -102,13 +102,15 @@ def reboot(port: str, id: int, baud: int, yes: bool) -> None:
 @_YES
 def set_baud(port: str, id: int, to: int, baud: int, yes: bool) -> None:
     """Have a servo speak at another baud, TO, for good. --baud is what it speaks at now."""
+    from rig.backends.servo.before import store_of
     from rig.backends.servo.scan import known_servo
     from rig.backends.servo.scan import set_baud as change
 
+    store = store_of(port, id)
     with opened(port, baud) as line:
         link = known_servo(line, id, baud)
         _ask(f"set {link.model.name}, id {id}, from {baud} to {to} baud? Other programs must know", yes=yes)
-        change(lambda at: _reopened(line, port, at), link, to)
+        change(lambda at: _reopened(line, port, at), link, to, store)
     click.echo(f"servo {id} speaks at {to} baud")
 
 

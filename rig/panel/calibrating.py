@@ -121,7 +121,7 @@ def main(config: Path, out: Path) -> None:
     except ConfigError as error:
         _end("rig cannot calibrate with this config", str(error))
     except (BusyError, Fault, Refusal, NotWrittenError, RecordingError) as error:
-        _end(getattr(error, "cause", str(error)), error.cure)
+        _end(str(error) if isinstance(error, Fault) else getattr(error, "cause", str(error)), error.cure)
     except RigError as error:  # such as of an emulated device that does not start
         words, _, cure = str(error).partition("\n")
         _end(words, cure)

@@ -193,6 +193,7 @@ def record(
                 if session is None:
                     raise
                 failures.append(f"the bench was not closed well: {_defect(error)}")
+            session.found.notes += filter(None, [getattr(session.bench.driver, "end_words", "")])  # once it is closed
             outcome = Outcome(session.folder, RunResult(), fault, failures, session.paced)
             _measure_tracking(session, outcome)
             _write_result(session, outcome)
@@ -275,8 +276,7 @@ def _run_script(script: Script, session: Session, on_start: OnStart | None) -> F
     if fault is not None:
         session.note("fault", **fault.as_dict())
     session.paced = _told_pace(session)
-    ends = getattr(session.bench.driver, "end_words", "")
-    session.found.notes += [*_loop_notes(session.loop), *filter(None, (ends, session.paced))]
+    session.found.notes += [*_loop_notes(session.loop), *filter(None, (session.paced,))]
     session.note("end")
     return fault
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -56,6 +59,20 @@ def assert_as_the_truth(file: Path, *, rpc: float = RPC, centre: float = CENTRE)
     assert (zero - centre) * rpc == pytest.approx(offset_rad, abs=0.012)
     assert e.limits.hard_rad == pytest.approx((-1.85, 1.95), abs=0.04)
     assert e.drive.reversed is True
+
+
+def test_a_sigterm_at_a_question_ends_it_in_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = bench(tmp_path, "simulated", None)
+    before, handler = file.read_text(), signal.getsignal(signal.SIGTERM)
+
+    def lines(_: Path | None) -> Iterator[str]:
+        os.kill(os.getpid(), signal.SIGTERM)
+        yield "yes"
+
+    monkeypatch.setattr("rig.cli.calibrate._lines", lines)
+    done = calibrated(file, ANGLES)
+    assert done.exit_code == 1 and "ended by SIGTERM; nothing is written" in done.output
+    assert file.read_text() == before and signal.getsignal(signal.SIGTERM) == handler
 
 
 def test_every_step_on_a_simulated_bench(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import pytest
 from processes import wait_until
 
 from rig.config import ready
+from rig.core.faults import Fault
 from rig.panel import calibrating, processes
 from rig.panel.bench import CALIBRATION, Bench
 from rig.panel.calibration import Calibration
@@ -75,6 +76,21 @@ def test_it_asks_refuses_late_answers_after_a_stop_and_keeps_other_commands_out(
     again = begun(bench)  # stopped while it does something
     assert bench.stop().runs == (CALIBRATION,)
     assert end(again)["words"] == "stopped; nothing is written"
+
+
+def test_a_port_that_does_not_open_is_told_by_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = tmp_path / "bench.yaml"
+    config.write_text(ready.text("simulated"))
+
+    def is_held(*_: object) -> None:
+        raise Fault("LINK_OPEN", "/dev/ttyACM7: another program holds it")
+
+    monkeypatch.setattr(calibrating, "calibrate", is_held)
+    monkeypatch.setattr("sys.stdin", io.StringIO('{"steps": ["travel"]}\n'))
+    calibrating.main(config, tmp_path / "runs")
+    assert "/dev/ttyACM7: another program holds it" in json.loads(capsys.readouterr().out.splitlines()[-1])["words"]
 
 
 def test_a_config_that_is_none_says_why(tmp_path: Path) -> None:

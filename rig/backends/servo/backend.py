@@ -71,6 +71,10 @@ class ServoBackend(RegisterBackend):
         return None if d.daq.servo is None or self.is_emulated(d) else link_budget.adapter_of(d.daq, d.daq.servo)
 
     @override
+    def hand(self, d: DeviceSetup) -> str:
+        return "" if d.daq.servo is None else switch_to_try(d, d.daq.servo)
+
+    @override
     def words(self, d: DeviceSetup) -> str:
         servo = d.daq.servo
         who = f"servo {servo.id}, {servo.model}, {d.daq.baud} baud" if servo is not None else "a servo"
@@ -103,7 +107,7 @@ class ServoBackend(RegisterBackend):
         servo = d.daq.servo
         if servo is None:
             return
-        if switch := switch_to_try(d, servo):
+        if switch := self.hand(d):
             yield f"before it drives rig asks you, at a terminal, to open the supply's switch and close it: {switch}"
         if servo.attached != "nothing" and d.load is None:
             yield (

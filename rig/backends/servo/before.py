@@ -37,7 +37,7 @@ _TRIED_ON_FEETECH: Final = ("position_p_gain", "protective_torque", "protection_
 # In the order in which they are put back: the mode after the limit, because changing it sets the goal to the limit
 _CHANGED: Final = {
     "dynamixel": ("pwm_slope", "pwm_limit", "return_delay_time", "operating_mode", "goal_pwm", *_RESET_BY_MODE),
-    "feetech": ("return_delay_time", "torque_limit", *_TRIED_ON_FEETECH, "mode", "goal_duty"),
+    "feetech": ("return_delay_time", "torque_limit", *_TRIED_ON_FEETECH, "mode", "goal_duty", "lock"),
 }
 
 
@@ -55,6 +55,11 @@ class BeforeStore:
     def note_path(self) -> Path | None:
         """Where the keeper leaves word of what it did."""
         return None if self.path is None else self.path.with_suffix(".txt")
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether there is something to put back."""
+        return self._values is not None if self.path is None else self.path.exists()
 
     def note(self) -> str:
         """What the keeper of an earlier run did, once; empty where it had nothing to do."""
@@ -135,7 +140,7 @@ def values_of(link: ServoLink) -> dict[str, int]:
     """What the registers that a run changes hold now. Raises Fault LINK_*."""
     model = link.model
     names = [name for name in _CHANGED[model.protocol] if model.has(name)]
-    values = link.values(tuple(names))
+    values = {name: link.sure(name) for name in names}
     kept, drive = dict(values), model.roles["drive"]
     if values[model.roles["mode"]] == model.pwm_mode:
         kept[drive] = 0  # there it is the duty: whoever switches the torque on next must not find rig's
@@ -151,9 +156,9 @@ def put_back(link: ServoLink, values: Mapping[str, int]) -> None:
     link.put(torque, 0)
     if "watchdog" in model.roles:
         link.put(model.roles["watchdog"], 0)  # while it has acted no goal can be written
-    for name in _CHANGED[model.protocol]:
-        if name in values:
-            link.hold(name, values[name])
+    names = [name for name in _CHANGED[model.protocol] if name in values]
+    for name in names + names:  # a wrong answer may have said that one holds its value already
+        link.hold(name, values[name])
     link.put(torque, 0)  # on some servos writing a goal switches it on
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from copy import copy
 from types import ModuleType
 from typing import NamedTuple, TypeVar
@@ -277,6 +277,16 @@ class ServoLink:
         except ValueError as error:
             raise self.client.misfit(str(error)) from error
 
+    def sure(self, name: str) -> int:
+        """What a register holds, read twice: an answer does not tell its question, and a damaged one may pass.
+
+        Raises Fault LINK_REPLY where the second time brings another value.
+        """
+        first, again = self.value(name), self.value(name)
+        if first != again:
+            raise self.client.misfit(f"{self.model[name]} reads {first}, then {again}")
+        return first
+
     def one_answers(self, name: str | None, wait_s: float) -> bool:
         """Whether one answer, and nothing but that, comes to one question for a register, and ``wait_s`` after it.
 
@@ -345,10 +355,6 @@ class ServoLink:
             return None
         finally:
             self.bus.id = own
-
-    def values(self, names: tuple[str, ...]) -> Mapping[str, int]:
-        """What registers hold, one by one."""
-        return {name: self.value(name) for name in names}
 
 
 def servo_link(transport: Transport, model: ServoModel, id: int, baud: int, timeout_s: float = 0.1) -> ServoLink:

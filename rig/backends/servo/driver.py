@@ -333,6 +333,11 @@ class ServoDriver(RegisterDriver[Ask]):
         if self._guardian is not None:
             guardian, self._guardian = self._guardian, None
             guardian.end(restored=restored)
+        if not restored and self._store.is_kept:
+            words = (
+                "the servo's registers are not as before: the next run puts them back, or `rig servo restore PORT ID`"
+            )
+            self.end_words = f"{self.end_words}; {words}" if self.end_words else words
         self._transport.close()
 
     @property
@@ -393,7 +398,10 @@ class ServoDriver(RegisterDriver[Ask]):
         began_s, apart_s = self._transport.now_s(), STEP_S * (2.0 + 1.0 / _STAGGERED)
         for number in range(_STAGGERED + 1):
             self._client.wait(began_s + number * apart_s - self._transport.now_s())
-            self._values(self._read_span, self._unhurried_reading())
+            reply = self._client.patiently(self._sampling, self._timeout_s)  # its watchdog does not wait longer
+            applied = self._values(self._read_span, reply)["applied"]
+            if abs(applied) > _STEPS_OFF:
+                raise Fault("SECOND_MASTER", f"{self._map.applied} reads {applied:g}, and rig has written 0 alone")
 
     @override
     def _disarm(self) -> None:
@@ -488,6 +496,12 @@ class ServoDriver(RegisterDriver[Ask]):
         stood_s, stood = self._transport.now_s(), math.nan
         while (now_s := self._transport.now_s()) < until_s:
             values = self._values(self._read_span, self._client.asked(self._sampling, self._timeout_s))
+            if values["applied"] != 0.0:  # it would be waited for while somebody else drives it
+                words = (
+                    f"{self._map.applied} read {values['applied']:g} behind the stop: does another program drive it?"
+                )
+                self.end_words = self.end_words or words
+                return
             if not abs(values["position"] - stood) <= _REST_COUNTS:
                 stood_s, stood = now_s, values["position"]
             elif now_s - stood_s >= _REST_S:

@@ -261,12 +261,14 @@ def _stops(link: ServoLink, guardian: Guardian | None, *, has_watchdog: bool) ->
         key = f"slows_s_{name.replace(' ', '_')}"
         if slowed_s is None:
             yield Fact(key, None, f"the horn did not turn under {percent(_TURNS_SHARE)} of full duty")
+        elif slowed_s == math.inf:
+            yield Fact(key, None, f"{name}: its speed did not fall to 37 % within {1e3 * _STOPS_S:g} ms")
         else:
             yield Fact(key, round(slowed_s, 4), f"{name}: its speed fell to 37 % within {1e3 * slowed_s:.0f} ms")
 
 
 def _slowed_s(link: ServoLink, stop: Callable[[], None], guardian: Guardian | None, *, silent: bool) -> float | None:
-    """Time until its speed has fallen to 37 %, s; None where it did not turn. A watchdog's own time is in it."""
+    """Time until its speed has fallen to 37 %, s, a watchdog's own time in it; inf: never. None: it did not turn."""
     model, now_s = link.model, link.now_s
     position, turn = model.roles["position"], model.counts_per_turn
 
@@ -286,16 +288,17 @@ def _slowed_s(link: ServoLink, stop: Callable[[], None], guardian: Guardian | No
         if abs(step(first, last)) < 5:
             return None
         stop()
+        began_s = now_s()
         if silent:  # reading would feed it
-            lives(0.02)
-        began_s, before, before_s = now_s(), link.value(position), now_s()
+            lives(_SILENT_S / 4.0)
+        before, before_s = link.value(position), now_s()
         while now_s() - began_s < _STOPS_S:
             lives(_LOOK_S)
             after, after_s = link.value(position), now_s()
             if abs(step(before, after)) / (after_s - before_s) < _FELL_TO * speed:
                 return after_s - began_s
             before, before_s = after, after_s
-        return _STOPS_S
+        return math.inf
     finally:
         _off(link, guardian)
 

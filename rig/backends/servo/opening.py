@@ -21,6 +21,7 @@ from rig.core.person import Asks
 _SUPPLY_SHARE: Final = 0.05  # by which the voltage register and drive.supply_V may differ
 _LIMIT_SHARE: Final = 0.03  # that the supply must keep from the servo's own voltage limits
 _LISTENS_S: Final = 0.05  # for another master
+_LISTENS_AGAIN_S: Final = 0.25  # where answers were disturbed
 _QUESTIONS: Final = 4  # that tell whether one servo alone answers
 _PINGS: Final = 2  # of them besides, for one that answers nothing else
 _ANSWERS_S: Final = 0.03  # within which a second answer comes, also behind a slow adapter
@@ -213,9 +214,8 @@ def set_up(
     set_to_0(link)
     link.put(torque, 0)
     slope_V_s = _set_slope(link, setup)
-    firmware = link.value(model.roles["firmware"])
-    voltage = model.role("voltage")
-    supply_V = link.value(model.roles["voltage"]) * voltage.scale
+    firmware = link.sure(model.roles["firmware"])
+    supply_V = _check_supply(link, setup)
     proven, remark = _prove_watchdog(link)
     changed = ", ".join(f"{name} {value}" for name, value in before.items())
     kept = f"; also in {store.path}" if store.path is not None else ""
@@ -235,15 +235,13 @@ def check_model(link: ServoLink, setup: ServoSetup) -> None:
         )
 
 
-def check_alone(link: ServoLink) -> None:
-    """Raise Fault SECOND_MASTER where another one talks on this bus while rig is silent."""
+def check_alone(link: ServoLink, for_s: float = _LISTENS_S) -> None:
+    """Raise Fault SECOND_MASTER where another one talks on this bus while rig is silent for so long."""
     before = link.client.statistics["stale_bytes"]
-    link.client.wait(_LISTENS_S)
+    link.client.wait(for_s)
     heard = link.client.statistics["stale_bytes"] - before
     if heard:
-        raise Fault(
-            "SECOND_MASTER", f"{heard} bytes on the bus within {1e3 * _LISTENS_S:g} ms that rig did not ask for"
-        )
+        raise Fault("SECOND_MASTER", f"{heard} bytes on the bus within {1e3 * for_s:g} ms that rig did not ask for")
 
 
 def check_one(link: ServoLink) -> None:
@@ -257,10 +255,11 @@ def check_one(link: ServoLink) -> None:
     twice = sum(not link.one_answers(asked[k % len(asked)], _ANSWERS_S) for k in range(_QUESTIONS))
     pinged = sum(not link.one_answers(None, _ANSWERS_S) for _ in range(_PINGS))
     if 2 * twice >= _QUESTIONS or pinged == _PINGS:
+        check_alone(link, _LISTENS_AGAIN_S)  # who has begun to talk meanwhile, as another rig, says more
         raise Fault(
             "LINK_UNIT",
             f"to {twice + pinged} of {_QUESTIONS + _PINGS} questions more came than one whole answer: as where two "
-            f"servos have id {link.bus.id}",
+            f"servos have id {link.bus.id}, or another program opens this bus just now",
         )
 
 
@@ -282,8 +281,8 @@ def switch_on(link: ServoLink, last: Callable[[], None] = lambda: None) -> None:
     """Torque on, right behind a last look: another duty than 0, or another mode, would drive the shaft at once.
 
     A servo that has lost its supply meanwhile has forgotten either; one that loses it in between is looked at anew.
-    Who else talks on this bus, as the keeper of a rig on another adapter, may change the mode right before: the torque
-    goes off again at once.
+    Who else talks on this bus, as the keeper of a rig on another adapter, may change mode or duty right before: the
+    torque goes off again at once.
 
     last  called when all but the torque is done
     Raises Fault ARM_READBACK, DEVICE_RESET, LINK_*.
@@ -296,6 +295,7 @@ def switch_on(link: ServoLink, last: Callable[[], None] = lambda: None) -> None:
         one.put(link.model.roles["torque"], 1)
         try:
             _check_mode(one)
+            _check_drive_is_0(one)
         except Fault:
             link.put(link.model.roles["torque"], 0)
             raise
@@ -335,6 +335,12 @@ def check_free(link: ServoLink) -> None:
     check_bus(link)
     if link.value(link.model.roles["mode"]) != link.model.pwm_mode:
         _check_torque(link)
+
+
+def check_started_anew(link: ServoLink) -> None:
+    """Raise Fault SERVO_IN_USE, SERVO_ERROR of a servo that has not: a Feetech does not say that it will."""
+    _check_torque(link)
+    _check_errors(link)
 
 
 def _check_torque(link: ServoLink) -> None:
@@ -396,7 +402,8 @@ def _check_limit(link: ServoLink, setup: ServoSetup) -> None:
         raise Fault("SERVO_SETUP", f"{link.model.role('max_drive')} {words}")
 
 
-def _check_supply(link: ServoLink, setup: ServoSetup) -> None:
+def _check_supply(link: ServoLink, setup: ServoSetup) -> float:
+    """The supply, V. Raises Fault SERVO_SUPPLY."""
     model = link.model
     voltage = model.role("voltage")
     supply_V = link.value(model.roles["voltage"]) * voltage.scale
@@ -409,6 +416,7 @@ def _check_supply(link: ServoLink, setup: ServoSetup) -> None:
             "SERVO_SUPPLY",
             f"{supply_V:.1f} V is too near to the servo's own voltage limits, {low_V:.1f} to {high_V:.1f} V",
         )
+    return supply_V
 
 
 def _check_heat(link: ServoLink, setup: ServoSetup) -> None:
@@ -452,7 +460,7 @@ def _set_slope(link: ServoLink, setup: ServoSetup) -> float | None:
         return None
     if setup.fastest_slope:
         link.hold(name, _FASTEST)
-    return link.value(name) * link.model[name].scale
+    return link.sure(name) * link.model[name].scale
 
 
 def _prove_watchdog(link: ServoLink) -> tuple[bool, tuple[str, ...]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,7 +12,7 @@ from rig.backends.registers.bus import BusClient
 from rig.backends.servo.before import BeforeStore, put_back
 from rig.backends.servo.bus import PING_S, Ask, ServoLink, servo_link
 from rig.backends.servo.models import MODELS, ServoModel, models_of
-from rig.backends.servo.opening import check_bus, check_free, check_startup, objections
+from rig.backends.servo.opening import check_bus, check_free, check_started_anew, check_startup, objections
 from rig.backends.servo.packets import LAST_ID
 from rig.core.faults import Fault
 
@@ -141,7 +141,8 @@ def known_servo(port: Transport, id: int, baud: int) -> ServoLink:
 def reboot(port: Transport, link: ServoLink) -> None:
     """Start a servo anew, and wait until it answers.
 
-    Raises Fault LINK_TIMEOUT, SERVO_REFUSED, SECOND_MASTER, LINK_UNIT; SERVO_SETUP for one that would drive then.
+    Raises Fault LINK_TIMEOUT, SERVO_REFUSED, SECOND_MASTER, LINK_UNIT; SERVO_SETUP for one that would drive then;
+    SERVO_IN_USE, SERVO_ERROR for one that has not done it.
     """
     check_bus(link)
     check_startup(link)
@@ -156,12 +157,15 @@ def reboot(port: Transport, link: ServoLink) -> None:
         if port.now_s() > until_s:
             raise Fault("LINK_TIMEOUT", f"servo {link.bus.id} does not answer after its reboot")
         client.wait(0.05)
+    check_started_anew(link)
 
 
-def set_baud(opened: Opened, link: ServoLink, baud: int) -> None:
+def set_baud(opened: Opened, link: ServoLink, baud: int, store: BeforeStore) -> None:
     """Have a servo speak at another baud from now on, kept without supply; then look for it there.
 
-    Raises Fault SERVO_IN_USE, SECOND_MASTER, LINK_UNIT, CONFIG_MISMATCH for a baud that it has not, LINK_TIMEOUT.
+    store  a lock that had to be opened is in it until it is closed again: the next run, or ``restore``, closes it
+    Raises Fault SERVO_IN_USE, SECOND_MASTER, LINK_UNIT, CONFIG_MISMATCH for a baud that it has not, LINK_TIMEOUT, and
+    as ``restore``.
     """
     check_bus(link)
     model, id = link.model, link.bus.id
@@ -170,20 +174,45 @@ def set_baud(opened: Opened, link: ServoLink, baud: int) -> None:
         raise Fault("CONFIG_MISMATCH", f"{model.name} has no {baud} baud: {', '.join(map(str, model.bauds.values()))}")
     if link.value(model.roles["torque"]) != 0:
         raise Fault("SERVO_IN_USE", f"servo {id}: its torque is on")
-    lock = model.roles.get("lock")
+    restore(link, store)  # behind an open lock what a run has left could stay for good
+    with _unlocked(link, store):  # else the servo forgets it with its supply
+        try:
+            link.put(model.roles["baud"], index)
+        except Fault as fault:
+            if fault.code not in ("LINK_TIMEOUT", "LINK_REPLY"):  # it may answer at its new baud already
+                raise
+        with opened(baud) as fresh:
+            there = servo_link(fresh, model, id, baud)
+            if not any(there.is_there(id) is not None for _ in range(_ATTEMPTS)):
+                raise Fault("LINK_TIMEOUT", f"servo {id} does not answer at {baud} baud: cut its supply, and scan")
+            _lock(there, store)
+
+
+@contextmanager
+def _unlocked(link: ServoLink, store: BeforeStore) -> Iterator[None]:
+    """Open a servo's lock, where it has one, for the block, which closes it where all goes well."""
+    lock = link.model.roles.get("lock")
     if lock is not None:
-        link.put(lock, 0)  # else the servo forgets it with its supply
+        store.save(link.model, link.bus.id, {lock: 1})
+        link.put(lock, 0)
     try:
-        link.put(model.roles["baud"], index)
-    except Fault as fault:
-        if fault.code not in ("LINK_TIMEOUT", "LINK_REPLY"):  # it may answer at its new baud already
-            raise
-    with opened(baud) as fresh:
-        there = servo_link(fresh, model, id, baud)
-        if not any(there.is_there(id) is not None for _ in range(_ATTEMPTS)):
-            raise Fault("LINK_TIMEOUT", f"servo {id} does not answer at {baud} baud: cut its supply, and scan")
-        if lock is not None:
-            there.put(lock, 1)
+        yield
+    except BaseException:  # Ctrl-C, too
+        with suppress(Fault):  # without an answer the file keeps it
+            _lock(link, store)
+        raise
+
+
+def _lock(link: ServoLink, store: BeforeStore) -> None:
+    lock = link.model.roles.get("lock")
+    if lock is None:
+        return
+    if link.value(lock) != 0:
+        raise Fault(
+            "DEVICE_RESET", f"servo {link.bus.id} has restarted meanwhile, and forgets its new baud: set it anew"
+        )
+    link.put(lock, 1)
+    store.clear()
 
 
 def restore(link: ServoLink, store: BeforeStore) -> dict[str, int] | None:

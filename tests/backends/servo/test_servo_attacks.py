@@ -22,6 +22,7 @@ from rig.backends.servo.before import BeforeStore, order_of, store_of
 from rig.backends.servo.bus import ServoLink
 from rig.backends.servo.driver import ServoDriver
 from rig.backends.servo.emulated.faults import ReplyFault
+from rig.backends.servo.emulated.virtual_bus import VirtualServoBus
 from rig.backends.servo.facts import facts
 from rig.backends.servo.guardian import Guardian
 from rig.backends.servo.scan import reboot, restore, set_baud
@@ -223,7 +224,7 @@ def test_a_torque_that_is_refused_for_an_error_is_told_by_its_name(protocol: str
 @pytest.mark.parametrize("what", [
     lambda bench, link: restore(link, bench.store),
     lambda bench, link: reboot(bench.bus, link),  # its torque would go: an arm that it holds falls
-    lambda bench, link: set_baud(lambda baud: nullcontext(bench.bus), link, 500_000),
+    lambda bench, link: set_baud(lambda baud: nullcontext(bench.bus), link, 500_000, bench.store),
 ], ids=["restore", "reboot", "baud"])  # fmt: skip
 def test_nothing_is_put_back_while_another_master_talks(
     what: Callable[[Bench, ServoLink], object], protocol: str, tmp_path: Path
@@ -589,6 +590,18 @@ def test_every_name_of_a_port_leads_to_one_file(tmp_path: Path, monkeypatch: pyt
     assert store_of("/dev/ttyUSB0", 1).path == store_of("/dev/ttyUSB1", 1).path != own
 
 
+@pytest.mark.parametrize("error", [False, True])
+def test_a_feetech_that_did_not_hear_of_its_reboot_is_not_told_to_have_done_it(error: bool) -> None:
+    """It gives no answer to that: it answers the next question at once."""
+    bench = Bench("feetech")
+    bench.servo._set("torque", int(not error))
+    bench.servo._failed = feetech.OVERLOAD if error else 0  # type: ignore[attr-defined]  # it is one of Feetech's
+    reboots, send = feetech.reboot(bench.own.id), bench.bus.write
+    bench.bus.write = lambda data: None if data == reboots else send(data)  # type: ignore[method-assign]
+    with pytest.raises(Fault, match="SERVO_ERROR" if error else "SERVO_IN_USE"):
+        reboot(bench.bus, bench.driver._link)
+
+
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_a_servo_that_reboots_answers_again(protocol: str) -> None:
     bench = Bench(protocol)
@@ -644,3 +657,167 @@ def _told_by_another(port: int) -> bytes:
     os.close(told)
     os.close(tells)
     return answer
+
+
+@pytest.mark.parametrize("by_kill", [True, False])
+def test_a_lock_that_stays_open_is_closed_by_the_next_command(by_kill: bool, tmp_path: Path) -> None:
+    """Behind an open lock what a run writes would stay for good. A Fault closes it at once."""
+    bench = Bench("feetech", store=BeforeStore(tmp_path / "servo.json"))
+    link, baud = bench.driver._link, bench.driver._link.write_of("baud_rate", 1).data
+    send = bench.bus.write
+
+    def write(data: bytes) -> None:
+        if data == baud:
+            raise SystemExit if by_kill else Fault("LINK_LOST")
+        if by_kill and data == link.write_of("lock", 1).data:
+            raise Fault("LINK_LOST")
+        send(data)
+
+    bench.bus.write = write  # type: ignore[method-assign]
+    with pytest.raises(SystemExit if by_kill else Fault):
+        set_baud(lambda _: nullcontext(bench.bus), link, 500_000, bench.store)
+    bench.bus.write = send  # type: ignore[method-assign]
+    assert bench.servo.value("lock") == int(not by_kill)
+    assert (bench.store.load(link.model) is not None) == by_kill
+    bench.another().open()
+    assert bench.servo.value("lock") == 1 and bench.servo.eeprom_writes.total() == 0
+
+
+def test_a_baud_that_a_restart_has_locked_out_is_not_told_to_be_kept() -> None:
+    bench = Bench("feetech")
+    restarting_ahead_of(bench, bench.driver._link.write_of("baud_rate", 1).data.__eq__)
+
+    @contextmanager
+    def opened(baud: int) -> Iterator[VirtualServoBus]:
+        bench.bus.set_baud(baud)
+        yield bench.bus
+
+    with pytest.raises(Fault, match="DEVICE_RESET"):
+        set_baud(opened, bench.driver._link, 500_000, bench.store)
+    assert bench.servo.saved("baud_rate") == 0
+
+
+def test_what_a_run_has_left_is_put_back_before_a_lock_is_opened() -> None:
+    bench = Bench("feetech")
+    bench.opened()
+    put, modes = bench.driver._link.put, list[int]()
+
+    def noted(name: str, value: int) -> None:
+        if (name, value) == ("lock", 0):
+            modes.append(bench.servo.of("mode"))
+        put(name, value)
+
+    bench.driver._link.put = noted  # type: ignore[method-assign]
+    set_baud(lambda _: nullcontext(bench.bus), bench.driver._link, 1_000_000, bench.store)
+    assert modes == [0]
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize("at", ["the torque", "the search for its steps"])
+def test_a_duty_that_another_master_writes_as_the_torque_goes_on_takes_it_off_again(protocol: str, at: str) -> None:
+    if protocol == "feetech" and at != "the torque":
+        return  # it tells no clock: its first tick follows at once
+    bench = Bench(protocol)
+    bench.opened()
+    link, send, goes_on = bench.driver._link, bench.bus.bus.send, list[bool]()
+    torque, reading = link.write_of(link.model.roles["torque"], 1).data, bench.driver._sampling.data
+
+    def ahead(data: bytes, t_s: float) -> None:
+        if data == torque:
+            goes_on.append(True)
+        if data == torque if at == "the torque" else goes_on and data == reading:
+            bench.servo._set("drive", 100)
+        send(data, t_s)
+
+    bench.bus.bus.send = ahead  # type: ignore[method-assign]
+    with pytest.raises(Fault, match="ARM_READBACK" if at == "the torque" else "SECOND_MASTER"):
+        bench.driver.arm(bench.limits)
+    if at == "the torque":
+        assert not bench.servo.is_on
+    else:
+        assert bench.driver.safe_stop() and not bench.servo.is_on
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_wrong_answer_is_never_kept_as_what_a_register_held(protocol: str) -> None:
+    """An answer does not tell its question, and of a Feetech's damaged ones one in 256 passes."""
+    bench = Bench(protocol)
+    value, wrong, link = bench.driver._link.value, [1], bench.driver._link
+    link.value = lambda name: value(name) + (wrong.pop() if wrong and name == "position_p_gain" else 0)  # type: ignore[method-assign]
+    with pytest.raises(Fault, match=r"LINK_REPLY.*position_p_gain"):
+        bench.opened()
+    assert bench.servo.eeprom_writes.total() == 0 and bench.store.load(bench.setup.model) is None
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_wrong_answer_leaves_no_register_as_a_run_has_set_it(protocol: str) -> None:
+    """It may say that a register holds its value of before already."""
+    bench = Bench(protocol)
+    before = bench.registers()
+    bench.armed()
+    assert bench.driver.safe_stop()
+    link, mode = bench.driver._link, bench.setup.model.roles["mode"]
+    value, wrong = link.value, [before[mode]]
+    link.value = lambda name: wrong.pop() if wrong and name == mode else value(name)  # type: ignore[method-assign]
+    bench.driver.close()
+    assert bench.registers() == before and not wrong
+
+
+def test_a_packet_that_is_lost_while_a_servos_steps_are_sought_ends_nothing() -> None:
+    """Its watchdog would act while rig waits: the run ended with DEVICE_WATCHDOG."""
+    bench = Bench()
+    bench.opened()
+    send, reading, lost = bench.bus.write, bench.driver._sampling.data, [True]
+
+    def write(data: bytes) -> None:
+        if not (data == reading and bench.servo.is_on and lost and lost.pop()):
+            send(data)
+
+    bench.bus.write = write  # type: ignore[method-assign]
+    bench.driver.arm(bench.limits)
+    bench.tick(0.3)
+    assert not lost and bench.servo.is_on
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_rig_that_opens_the_bus_at_the_same_time_is_told_as_another_master(protocol: str) -> None:
+    """It was silent while this one listened: its answers were taken for those of a second servo of this id."""
+    bench = Bench(protocol)
+    codec = {"dynamixel": dynamixel, "feetech": feetech}[protocol]
+    position = bench.setup.model.role("position")
+    for k in range(20):
+        asks = codec.read(bench.own.id, position.address, position.size)
+        bench.bus.bus.another_master(asks, 0.085 + 0.0331 * k)
+    with pytest.raises(Fault, match="SECOND_MASTER"):
+        bench.opened()
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_who_drives_a_servo_on_while_rig_waits_for_its_rest_does_so_no_longer(protocol: str) -> None:
+    """It turned for a second, as fast as the run's largest drive, and the run told of a stop."""
+    bench = Bench(protocol)
+    bench.armed()
+    bench.tick(0.4)
+    drive = bench.driver._link.write_of(bench.setup.model.roles["drive"], 200).data
+    waits, at_s = bench.driver._await_rest, list[float]()
+
+    def driven() -> None:
+        at_s.append(bench.bus.now_s())
+        bench.bus.bus.another_master(drive, bench.bus.now_s() + 0.006)
+        waits()
+
+    bench.driver._await_rest = driven  # type: ignore[method-assign]
+    assert bench.driver.safe_stop() and not bench.servo.is_on
+    bench.bus.sleep_until(bench.bus.now_s() + 0.01)
+    assert bench.bus.outputs[0][-1][1] == 0.0 and bench.bus.outputs[0][-1][0] - at_s[0] < 0.05
+    assert "another program" in bench.driver.end_words
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_registers_that_could_not_be_put_back_are_told(protocol: str, tmp_path: Path) -> None:
+    bench = Bench(protocol, store=BeforeStore(tmp_path / "servo.json"))
+    bench.armed()
+    bench.driver.safe_stop()
+    bench.servo.is_mute = True
+    bench.driver.close()
+    assert "rig servo restore" in bench.driver.end_words and bench.store.is_kept

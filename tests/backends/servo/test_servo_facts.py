@@ -11,6 +11,7 @@ from servo_bench import PROTOCOLS, Bench
 
 from rig.backends.servo.bus import PING_S, servo_link
 from rig.backends.servo.facts import Fact, facts
+from rig.backends.servo.opening import Opened, set_up
 from rig.backends.servo.scan import _who_answers
 
 
@@ -34,6 +35,22 @@ def test_what_a_watchdog_does_is_found(fed_by: str, resumes: bool, stopped: str)
     assert told["watchdog_stops"].found is True
     assert told["watchdog_fed_by"].found == fed_by
     assert told["watchdog_resumes"].found is resumes
+    slows_s = told["slows_s_watchdog"].found  # a reading within its time fed it: then it was told to take 0.5 s
+    assert isinstance(slows_s, float) and 0.02 < slows_s < 0.2
+
+
+def test_a_horn_that_no_watchdog_slows_down_is_told_as_such(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of one whose watchdog worked when it was proven."""
+    bench = Bench()
+
+    def proven(*given: Any) -> Opened:
+        opened = set_up(*given)
+        bench.servo.options = dataclasses.replace(bench.servo.options, watchdog_defect=True)
+        return opened
+
+    monkeypatch.setattr("rig.backends.servo.facts.set_up", proven)
+    told = found(bench)["slows_s_watchdog"]
+    assert told.found is None and "did not fall" in told.words
 
 
 def test_a_watchdog_that_does_not_work_is_told() -> None:

@@ -6,10 +6,10 @@ import math
 import os
 import signal
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
-from rich.console import Console
-from servo_bench import PROTOCOLS, Bench
+from servo_bench import CONFIGS, PROTOCOLS, Bench
 from test_servo_opening import writes
 
 from rig.backends.servo.backend import SERVO
@@ -108,11 +108,27 @@ def test_where_nobody_can_be_asked_it_opens_and_does_not_arm(protocol: str) -> N
     bench.driver.close()
 
 
+def test_a_run_in_a_pipe_is_refused_before_the_port_is_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A colour that is asked for makes no terminal of it."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setattr(person, "asks", None)
+    monkeypatch.setattr(driving, "asks_json", lambda: False)
+    text = CONFIGS["feetech"].read_text()
+    text = text.replace("port: emulated", "port: /dev/null")
+    text = text.replace(
+        "    model: sts3215",
+        "    model: sts3215\n    attached: joint\n    adapter: native-usb\n    supply_switch: the red one",
+    )
+    (tmp_path / "bench.yaml").write_text(text)
+    with pytest.raises(Fault, match=r"SERVO_SWITCH_UNTRIED.*the red one"):
+        driving.checked_bench(tmp_path / "bench.yaml")
+
+
 @pytest.mark.parametrize("sees", [False, True])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_the_question_at_once(number: int, sees: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(person, "asks", None)
-    monkeypatch.setattr(Console, "is_terminal", True)
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     monkeypatch.setattr(driving, "asks_json", lambda: False)
     driving.let_ask()
     looks = []

@@ -12,6 +12,7 @@ from servo_bench import BYSTANDERS, PROTOCOLS, Bench, addressed
 
 from rig.backends.servo.driver import ServoDriver
 from rig.control.loop.runner import Loop
+from rig.core.faults import Fault
 from rig.running import session
 from rig.running.experiment.script import run
 from rig.testing.line import on_device
@@ -61,3 +62,15 @@ def test_the_end_of_a_run_says_that_the_keeper_has_acted(tmp_path: Path, monkeyp
         outcome = run(bench.e, tmp_path)
     assert outcome.fault is not None and outcome.fault.code == "INTERNAL"
     assert any("keeper" in note for note in outcome.result.notes or ())
+
+
+def test_the_end_of_a_run_says_that_registers_stay_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def lost(*_: object) -> NoReturn:
+        raise Fault("LINK_LOST")
+
+    monkeypatch.setattr(Loop, "_fresh_reading", fails)
+    monkeypatch.setattr("rig.backends.servo.driver.put_back", lost)
+    bench = Bench()
+    with on_device(bench.bus):
+        outcome = run(bench.e, tmp_path)
+    assert any("rig servo restore" in note for note in outcome.result.notes or ())
