@@ -144,7 +144,7 @@ class ServoDriver(RegisterDriver[Ask]):
         self._doubted = 0  # alerts in a row that the servo's own register denies
         self._bad = 0  # readings in a row of heat or of a supply that is out of range
         self._tick = self._tick_s = math.nan  # the servo's clock as last read, ms, and the host's, s
-        self._steps = Steps()
+        self._steps, self._waits_s = Steps(), math.inf  # and how long the quickest reply waited on its way back, s
         self._dithered = 0.0  # share of a step
 
     # ------------------------------------------------------------------ requests
@@ -392,7 +392,7 @@ class ServoDriver(RegisterDriver[Ask]):
 
     def _find_steps(self) -> None:
         """Readings at other places within the servo's step each."""
-        self._steps = Steps()
+        self._steps, self._waits_s = Steps(), math.inf
         if not any(register.name == "tick" for register in self._map.others):
             return
         began_s, apart_s = self._transport.now_s(), STEP_S * (2.0 + 1.0 / _STAGGERED)
@@ -527,7 +527,12 @@ class ServoDriver(RegisterDriver[Ask]):
             raise self._client.misfit(str(error)) from error
         values["position"] = self._unwrapped(round(values["position"]))
         if "tick" in values:
-            self._sampled_s = self._steps.take(round(values["tick"]), reply.executed_s, reply.latest_s)
+            # every reply waits on its way back as long as the quickest; what one takes beyond that may be before, too
+            waits_s = reply.latest_s - reply.executed_s
+            if waits_s < self._waits_s:
+                self._waits_s = waits_s
+            earliest_s = reply.executed_s - (reply.at_most_s - reply.round_trip_s)  # it left as soon as it could
+            self._sampled_s = self._steps.take(round(values["tick"]), earliest_s, reply.latest_s - self._waits_s)
         else:
             self._sampled_s = reply.executed_s - 0.5 * STEP_S
         return values

@@ -12,7 +12,6 @@ from typing import Final
 
 STEP_S: Final = 1e-3
 WRAPS: Final = 32768  # steps after which the clock begins again
-DRIFT: Final = 200e-6  # of a servo's clock against the host's: two crystals of 100 ppm
 
 
 class Steps:
@@ -33,19 +32,16 @@ class Steps:
     def take(self, tick: int, earliest_s: float, latest_s: float) -> float:
         """A reading that was executed between these times told ``tick``. Returns the time of that step, s.
 
-        Both clocks may go apart by ``DRIFT``. Where they do by more, the bounds move along: the last reading is always
-        right.
+        A clock that goes at another pace moves the bounds along: the last reading is always right.
         """
-        slack_s = 0.0
         if self.is_known:
-            passed = (tick - self._last) % WRAPS
-            self.count += passed
-            slack_s = DRIFT * passed * STEP_S
+            self.count += (tick - self._last) % WRAPS
         self._last, self.is_known = tick, True
         high_s = latest_s - self.count * STEP_S
         low_s = earliest_s - (self.count + 1) * STEP_S
-        self.low_s = min(max(self.low_s - slack_s, low_s), high_s)
-        self.high_s = max(min(self.high_s + slack_s, high_s), low_s)
+        # where the clocks have moved apart, then by no more than what is between the bounds
+        self.low_s = min(max(self.low_s, low_s), high_s)
+        self.high_s = max(min(self.high_s, high_s), low_s)
         self._began_s = 0.5 * (self.low_s + self.high_s)
         return self._began_s + self.count * STEP_S
 
