@@ -6,7 +6,7 @@ no record shows it. So do I and D gains that are not 0. So do goals that are wri
 than the log says: the fitted delay shows that something is late, and not what. Goals that jump late give full duty the
 wrong way meanwhile, which a fit takes for friction.
 
-A filter in the readings that was found leaves something unknown, too: `by_filter`.
+A filter in a column that was found leaves something unknown, too: `by_filter`.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def by_own_loop(answer: Answer, loop: OwnLoop) -> Answer:
 
 
 def by_filter(answer: Answer, lag_s: float) -> Answer:
-    """The answer with what a filter of this time constant in its readings, found and undone, leaves unknown in tau.
+    """The answer with what a filter of this time constant in a column, found and undone, leaves unknown in tau.
 
     What is missing in the filter's time constant is too much in tau: a record shows their sum.
     """
@@ -76,8 +76,8 @@ def by_filter(answer: Answer, lag_s: float) -> Answer:
     reasons = []
     if share > ASKED:
         reasons.append(
-            f"a filter of {1e3 * lag_s:.3g} ms in the readings makes tau up to {in_percent(share)} wrong: log the "
-            "position, or the velocity unfiltered"
+            f"a filter of {1e3 * lag_s:.3g} ms in the log makes tau up to {in_percent(share)} wrong: log position and "
+            "drive, or the velocity, as they are"
         )
     return _widened(answer, {"tau_s": share}, reasons)
 

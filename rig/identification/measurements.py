@@ -40,7 +40,7 @@ class Measurements:
     changes     one sentence for each change of what plain files say before the fit; also in ``notes``
     notes       what was left out or corrected, how gains and cycles were found
     has_searches  whether gain searches count as tests beside others
-    filter_s    time constant of a filter in the readings that was undone, s; 0: there is none
+    filter_s    by how much a column that was smoothed was late, s; it was undone; 0: none was
     """
 
     tests: list[TimeSeries] = field(default_factory=list)
