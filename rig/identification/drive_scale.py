@@ -25,6 +25,8 @@ from rig.run_folder.results import Answer, GradedNumber, known
 OF_FRICTION: Final = 3.0
 # Of the time constant of a filter: of 50 ms 1 to 2.5 ms were missing, behind velocities in steps of 10 rpm, or noise
 OF_FILTER: Final = 0.05
+# Of each number, where firmware limits the speed, by what the numbers of made logs were off
+OF_LIMIT: Final = {"tau_s": 0.05, "K_rad_s_V": 0.05, "fc_V": 0.15}
 LATE_S: Final = 1e-3  # by which the position may be older or newer than the middle of its step, at 95 %; assumption
 
 
@@ -80,6 +82,15 @@ def by_filter(answer: Answer, lag_s: float) -> Answer:
             "drive, or the velocity, as they are"
         )
     return _widened(answer, {"tau_s": share}, reasons)
+
+
+def by_speed_limit(answer: Answer) -> Answer:
+    """The answer with what a limit of the speed in the firmware leaves unknown: when it holds no row says exactly."""
+    reason = (
+        "firmware seems to limit the speed, so the drive is not what the motor got: record with smaller drives, or "
+        "log the bridge's duty"
+    )
+    return _widened(answer, OF_LIMIT, [reason])
 
 
 def _widened(answer: Answer, shares: Mapping[str, float], reasons: Sequence[str]) -> Answer:

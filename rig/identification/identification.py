@@ -14,9 +14,9 @@ import numpy as np
 from rig.core.estimators import ESTIMATORS, LEADING, EstimatorEntry
 from rig.identification.agreement import are_one_motor, disagreement, estimates_of_each
 from rig.identification.breakaway import StaticFriction, breakaway
-from rig.identification.clipped_drive import clipped, clipped_at_V
+from rig.identification.clipped_drive import clipped, limit_of
 from rig.identification.departures.laws import LEVEL_EACH
-from rig.identification.drive_scale import by_filter, by_own_loop
+from rig.identification.drive_scale import by_filter, by_own_loop, by_speed_limit
 from rig.identification.estimate import VERDICTS, Estimate
 from rig.identification.estimator import Estimator
 from rig.identification.friction_map import FrictionMap, friction_map
@@ -78,6 +78,7 @@ class Identification:
     rehearsal   whether a recording is a rehearsal: its motor was made up
     own_loop    of a servo that made a recording; None: volts are volts
     filter_s    by how much a column that was smoothed was late, s; it was undone; 0: none was
+    is_slowed   whether firmware limited the speed, and the drive there was fitted
     """
 
     estimates: dict[str, Estimate] = field(default_factory=dict)
@@ -93,6 +94,7 @@ class Identification:
     rehearsal: bool = False
     own_loop: OwnLoop | None = None
     filter_s: float = 0.0
+    is_slowed: bool = False
 
     def as_result(self) -> IdentificationResult:
         """As `rig identify --json` prints it. result.json has the same names."""
@@ -117,6 +119,8 @@ class Identification:
         answer = answer_of(found) if law is None else law.answer(found, self.leading, largest_V)
         if answer is not None and self.filter_s > 0.0:
             answer = by_filter(answer, self.filter_s)
+        if answer is not None and self.is_slowed:
+            answer = by_speed_limit(answer)
         return answer if answer is None or self.own_loop is None else by_own_loop(answer, self.own_loop)
 
     @property
@@ -253,7 +257,7 @@ def _identified(asked: _Asked, data: Measurements) -> Identification:
             method: replace(e.judged("doubtful", *stamps, *objections), reasons=(*stamps, *e.reasons, *objections))
             for method, e in found.estimates.items()
         }
-    found.filter_s = data.filter_s
+    found.filter_s, found.is_slowed = data.filter_s, data.is_slowed
     static = _add_breakaway(recordings, without, found)
     if asked.choose_law:
         _add_motor_law(data, found, each, static, any(map(_was_known, recordings)))
@@ -312,17 +316,17 @@ def _takes_change(data: Measurements, estimate: Estimate | None) -> bool:
     if estimate is None or any(test.stage is not None for test in data.tests):
         return False
     try:
-        limit_V = clipped_at_V(data.tests, estimate)
-        smoothed = smoothing(data.tests, estimate) if math.isinf(limit_V) else None
+        limit = limit_of(data.tests, estimate)
+        smoothed = smoothing(data.tests, estimate) if math.isinf(limit.drive_V) else None
     except IdentifyError:
         return False  # too short for pieces
-    if math.isfinite(limit_V):
-        note = f"the drive is asked for beyond what the motor gets: it is limited to {limit_V:.4g} V, as by a supply"
-        data.take(partial(clipped, limit_V=limit_V), note)
+    if math.isfinite(limit.drive_V):
+        data.take(partial(clipped, limit=limit), limit.in_words())
+        data.is_slowed = limit.from_rad_s > 0.0
     elif smoothed is not None:
         data.take(smoothed.undone, smoothed.in_words(max(test.period_s for test in data.tests)))
         data.filter_s = smoothed.late_s
-    return math.isfinite(limit_V) or smoothed is not None
+    return math.isfinite(limit.drive_V) or smoothed is not None
 
 
 def _stamps(data: Measurements, estimate: Estimate | None) -> list[str]:

@@ -27,7 +27,7 @@ from rig.identification.preprocessing import unfiltered
 from rig.run_folder.recording.series import TimeSeries, noise_of_all_rad
 
 Array = NDArray[np.float64]
-Column = Literal["reading", "drive"]
+Column = Literal["reading", "drive", "row"]
 
 LEAVES = 1.1  # residual over the sensor's noise from which on a smoothing is looked for
 # Residual beyond noise with the smoothing over that without it, at most; the same where the record looks wrong: a lag
@@ -36,7 +36,7 @@ CUTS, NEARLY_ALL, PROMISING, SURE = 0.5, 0.1, 0.8, 20.0
 NOISY, TWICE = 3.0, 0.7  # residual over noise from which on two low passes are tried; residual over that with one
 LONGEST_S, TRIED, FINER = 0.2, 7, 16
 MEAN_OF_ROW = 0.75  # of a period: so short a filter is no filter, but how velocities are summed
-SMOOTHED = {"reading": "a smoothed velocity", "drive": "one that was measured"}
+SMOOTHED = {"reading": "a smoothed velocity", "drive": "one that was measured", "row": "all that one card reads"}
 MEAN, WAY, RAMP = 0, -1, -2  # orders that are no low pass
 EVENLY, OFTEN = 0.01, 0.2  # how steps of a ramp differ; share of the steps of a drive that are those of its ramp
 ROWS, MOST_ROWS = (4.0, 8.0, 16.0), 40.0  # of means that are tried first; of the longest one
@@ -46,7 +46,7 @@ WAY_ROWS = range(1, 13)
 class Smoothing(NamedTuple):
     """How a column was smoothed.
 
-    column   which
+    column   which; "row": both
     size_s   time constant of a low pass; how long a mean is, or how late the sign of a drive, s
     order    so many low passes, one after the other; ``MEAN``; ``WAY``: the sign of the drive is late; ``RAMP``: the
              drive goes at one pace where the motor's stepped
@@ -74,21 +74,24 @@ class Smoothing(NamedTuple):
         if self.order == RAMP:
             return replace(test, u_V=_without_ramps(test.u_V))
         for _ in range(self.order):
-            test = unfiltered(test, self.size_s, of_drive=self.column == "drive")
+            test = test if self.column == "drive" else unfiltered(test, self.size_s)
+            test = test if self.column == "reading" else unfiltered(test, self.size_s, of_drive=True)
         return test
 
     def _without_mean(self, test: TimeSeries) -> TimeSeries:
         rows = self.size_s / test.period_s
         half = max(1, round(0.5 * rows))
-        late = round(0.5 * (rows - 1.0)) if self.is_late else 0
-        kept = len(test) - late
-        values = test.u_V if self.column == "drive" else test.y_rad
-        wide = np.pad(values, half, mode="edge")
-        bends = wide[2 * half :] - 2.0 * values + wide[: -2 * half]
-        sharp = (values - (rows**2 - 1.0) / (24.0 * half**2) * bends)[late:]
-        moved = test.part(0, kept)
-        moved = replace(moved, u_V=sharp) if self.column == "drive" else replace(moved, y_rad=sharp)
-        return moved.part(half, kept - half)
+        kept = len(test) - (round(0.5 * (rows - 1.0)) if self.is_late else 0)
+
+        def sharp(values: Array, is_smooth: bool) -> Array:
+            if not is_smooth:
+                return values[:kept]
+            wide = np.pad(values, half, mode="edge")
+            bends = wide[2 * half :] - 2.0 * values + wide[: -2 * half]
+            return np.asarray(values - (rows**2 - 1.0) / (24.0 * half**2) * bends)[-kept:]
+
+        y_rad, u_V = sharp(test.y_rad, self.column != "drive"), sharp(test.u_V, self.column != "reading")
+        return replace(test.part(0, kept), y_rad=y_rad, u_V=u_V).part(half, kept - half)
 
     def in_words(self, period_s: float) -> str:
         """What was undone, such as ``the reading is low-passed by 45 ms, as a smoothed velocity is: ...``."""
@@ -99,7 +102,7 @@ class Smoothing(NamedTuple):
             return "the drive goes up and down at one pace, and the motor's stepped: undone before the fit"
         if self.order == MEAN:
             which = "up to its own" if self.is_late else "around it"
-            return f"the {self.column} in each row is like a mean of {rows} {which}: undone before the fit"
+            return f"each {self.column} is like a mean of {rows} {which}: undone before the fit"
         if self.late_s < MEAN_OF_ROW * period_s and self.column == "reading":
             return "the readings lag by half a row, as velocities that are summed do: undone before the fit"
         by = f"{1e3 * self.size_s:.3g} ms{' twice' if self.order > 1 else ''}"
@@ -154,10 +157,16 @@ def _apart(period_s: float) -> float:
 
 def _first(tests: Sequence[TimeSeries], period_s: float) -> Iterator[Smoothing]:
     """What is tried first. Of a drive that was written at its changes nothing is: its edges are known."""
-    columns: tuple[Column, ...] = ("reading", "drive") if all(test.edges is None for test in tests) else ("reading",)
+    columns: tuple[Column, ...] = (
+        ("reading", "drive", "row") if all(test.edges is None for test in tests) else ("reading",)
+    )
     for column in columns:
         yield from (Smoothing(column, LONGEST_S / _apart(period_s) ** k, 1) for k in range(TRIED))
-        yield from (Smoothing(column, rows * period_s, MEAN, late) for rows in ROWS for late in (False, True))
+        yield from (
+            Smoothing(column, rows * period_s, MEAN, late)
+            for rows in ROWS
+            for late in (False, True)[: 2 - (column == "row")]
+        )
     if "drive" in columns and all(map(_goes_at_one_pace, tests)):
         yield Smoothing("drive", period_s, RAMP)
     if "drive" in columns and all(np.ptp(_signs(test.u_V)) for test in tests):
