@@ -123,6 +123,8 @@ def smoothing(tests: Sequence[TimeSeries], plain: Estimate) -> Smoothing | None:
         return max(rad**2 - noise_rad**2, 0.0)
 
     without = plain_residual_rad(tests, plain)
+    if without < LEAVES * noise_rad:
+        return None  # over pieces the plain motor leaves no more than noise
     tried = {one: left(one) for one in _first(tests, period_s)}
     best = min(tried, key=lambda one: tried[one])
     if beyond(tried[best]) > PROMISING**2 * beyond(without):
