@@ -29,12 +29,13 @@ from rig.run_folder.recording.series import TimeSeries, noise_of_all_rad
 Array = NDArray[np.float64]
 Column = Literal["reading", "drive", "row"]
 
-LEAVES = 1.1  # residual over the sensor's noise from which on a smoothing is looked for
+LEAVES, SHOWS = 1.1, 1.03  # residual over the sensor's noise from which on a smoothing is looked for; over pieces
 # Residual beyond noise with the smoothing over that without it, at most; the same where the record looks wrong: a lag
 # makes a shaft turn against its drive; and of the best that is tried first. Rise of the log likelihood, at least
-CUTS, NEARLY_ALL, PROMISING, SURE = 0.5, 0.1, 0.8, 20.0
+CUTS, NEARLY_ALL, PROMISING, SURE = 0.65, 0.1, 0.8, 20.0
 NOISY, TWICE = 3.0, 0.7  # residual over noise from which on two low passes are tried; residual over that with one
 LONGEST_S, TRIED, FINER = 0.2, 7, 16
+EXPLAINS, NEAR = 0.02, 0.95  # residual over the spread of positions, at most; of the longest mean
 MEAN_OF_ROW = 0.75  # of a period: so short a filter is no filter, but how velocities are summed
 SMOOTHED = {"reading": "a smoothed velocity", "drive": "one that was measured", "row": "all that one card reads"}
 MEAN, WAY, RAMP = 0, -1, -2  # orders that are no low pass
@@ -123,7 +124,7 @@ def smoothing(tests: Sequence[TimeSeries], plain: Estimate) -> Smoothing | None:
         return max(rad**2 - noise_rad**2, 0.0)
 
     without = plain_residual_rad(tests, plain)
-    if without < LEAVES * noise_rad:
+    if without < SHOWS * noise_rad:
         return None  # over pieces the plain motor leaves no more than noise
     tried = {one: left(one) for one in _first(tests, period_s)}
     best = min(tried, key=lambda one: tried[one])
@@ -148,8 +149,11 @@ def smoothing(tests: Sequence[TimeSeries], plain: Estimate) -> Smoothing | None:
     best = min((one for one in by_order if one.order < 2), key=lambda one: found[one])
     best = next((one for one in by_order if one.order == 2 and found[one] < TWICE * found[best]), best)
     is_sure = sum(map(len, tests)) * math.log(without / found[best]) > SURE
+    # where a motor leaves so much of the motion, or asks for the longest mean, it is no plain one with a smooth column
+    most_rad = max(NOISY * noise_rad, EXPLAINS * max(float(np.std(test.y_rad)) for test in tests))
+    is_told = found[best] < most_rad and not (best.order == MEAN and best.size_s > NEAR * MOST_ROWS * period_s)
     cuts = NEARLY_ALL if plain.spoiled else CUTS
-    return best if is_sure and beyond(found[best]) < cuts**2 * beyond(without) else None
+    return best if is_sure and is_told and beyond(found[best]) < cuts**2 * beyond(without) else None
 
 
 def _apart(period_s: float) -> float:
