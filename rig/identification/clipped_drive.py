@@ -62,16 +62,17 @@ def limit_of(tests: Sequence[TimeSeries], plain: Estimate) -> Limit:
     without = _with(Limit(largest_V), tests, plain)
     if sizes.size >= FEWEST_SIZES:
         limit, left = _best(0.0, largest_V, tests, plain)
-        beyond = int(np.sum(BEYOND * sizes > limit.drive_V / largest_V))
-        if left < max(LEAVES * noise_rad, CUTS * without) and beyond >= FEWEST_SIZES:
+        cut_off = int(np.sum(BEYOND * sizes > limit.drive_V / largest_V))
+        if left < max(LEAVES * noise_rad, CUTS * without) and cut_off >= FEWEST_SIZES:
             return limit
     if any(test.edges is not None or test.t_u_s is not None for test in tests):
         return Limit()
     top_rad_s = max(float(np.quantile(_speeds(test), FASTEST)) for test in tests)
     by_speed = [_best(share * top_rad_s, largest_V, tests, plain) for share in LIMITED]
     limit, left = min(by_speed, key=lambda found: found[1])
-    noise2 = noise_rad**2
-    return limit if left**2 - noise2 < CUTS_BY_SPEED**2 * (without**2 - noise2) else Limit()
+    beyond, beyond_without = (max(rad**2 - noise_rad**2, 0.0) for rad in (left, without))
+    is_told = left < SHOWS * without and beyond < CUTS_BY_SPEED**2 * beyond_without
+    return limit if is_told else Limit()
 
 
 def _best(from_rad_s: float, largest_V: float, tests: Sequence[TimeSeries], plain: Estimate) -> tuple[Limit, float]:

@@ -32,15 +32,15 @@ Column = Literal["reading", "drive", "row"]
 LEAVES, SHOWS = 1.1, 1.03  # residual over the sensor's noise from which on a smoothing is looked for; over pieces
 # Residual beyond noise with the smoothing over that without it, at most; the same where the record looks wrong: a lag
 # makes a shaft turn against its drive; and of the best that is tried first. Rise of the log likelihood, at least
-CUTS, NEARLY_ALL, PROMISING, SURE = 0.65, 0.1, 0.8, 20.0
+CUTS, NEARLY_ALL, PROMISING, SURE = 0.5, 0.1, 0.8, 20.0
 NOISY, TWICE = 3.0, 0.7  # residual over noise from which on two low passes are tried; residual over that with one
 LONGEST_S, TRIED, FINER = 0.2, 7, 16
-EXPLAINS, NEAR = 0.02, 0.95  # residual over the spread of positions, at most; of the longest mean
+EXPLAINS, NEAR = 0.01, 0.95  # residual over the spread of positions, at most; of the longest mean
 MEAN_OF_ROW = 0.75  # of a period: so short a filter is no filter, but how velocities are summed
 SMOOTHED = {"reading": "a smoothed velocity", "drive": "one that was measured", "row": "all that one card reads"}
 MEAN, WAY, RAMP = 0, -1, -2  # orders that are no low pass
 EVENLY, OFTEN = 0.01, 0.2  # how steps of a ramp differ; share of the steps of a drive that are those of its ramp
-ROWS, MOST_ROWS = (4.0, 8.0, 16.0), 40.0  # of means that are tried first; of the longest one
+ROWS, MOST_ROWS = (4.0, 8.0, 16.0), 24.0  # of means that are tried first; of the longest one
 WAY_ROWS = range(1, 13)
 
 
