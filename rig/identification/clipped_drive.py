@@ -1,9 +1,11 @@
-"""A drive that is logged as it was asked for, beyond what the supply gives.
+"""A drive that is logged as it was asked for, beyond what the motor gets: the supply has less, or firmware limits the
+speed.
 
-A loop or a generator may ask for more than the bridge has: then the motor gets what is below a limit. The limit is
-looked for with which the plain motor explains pieces of the tests best. It counts where the plain motor leaves far more
-than noise, where nearly all of it goes with the limit, and where drives of several sizes lie beyond it: a
-single one that acts less than it says may be anything.
+A loop or a generator may ask for more than the bridge has: then the motor gets what is below a limit. Or the shaft has
+reached the largest speed that firmware allows: while it turns so fast, the motor gets what holds that speed. The limit
+is looked for with which the plain motor explains pieces of the tests best. It counts where the plain motor leaves far
+more than noise, and where nearly all of it goes with the limit. That of a supply has drives of several sizes beyond it:
+a single one that acts less than it says may be anything.
 """
 
 from __future__ import annotations
@@ -11,8 +13,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.identification.estimate import Estimate
 from rig.identification.in_pieces import plain_residual_rad
@@ -24,33 +28,87 @@ CUTS = 0.1  # or this residual over that without it
 SHOWS = 0.8  # residual with the best of the first limits over that without, at most
 TRIED, LEAST, FINER = 8, 0.05, 18  # limits that are tried first, from the largest drive to this share; further steps
 FEWEST_SIZES, BEYOND = 6, 0.02  # sizes of drives beyond the limit, at least, and how they differ, of the largest
+# Of the largest speed: from which on the shaft may be at its limit; which quantile that is; its error. Rows on either
+# side that show a speed, at most. Residual beyond noise with such a limit over that without: a drag cuts it by half
+LIMITED, FASTEST, SURE, MOST_BESIDE, CUTS_BY_SPEED = (0.95, 0.97, 0.985), 0.98, 0.005, 10, 0.25
+LEAST_BY_SPEED, FINER_BY_SPEED = 0.25, 10  # of the largest drive: the smallest such limit that is tried; steps
 
 
-def clipped_at_V(tests: Sequence[TimeSeries], plain: Estimate) -> float:
-    """The largest drive that the motor got, V; inf where no limit shows."""
+class Limit(NamedTuple):
+    """The largest drive that the motor gets, V, inf if any, where the shaft turns at least this fast, rad/s."""
+
+    drive_V: float = math.inf
+    from_rad_s: float = 0.0
+
+    def in_words(self) -> str:
+        """What the motor got."""
+        if self.from_rad_s > 0.0:
+            return (
+                f"the speed stays near {self.from_rad_s:.3g} rad/s under drives that would turn the shaft faster, as "
+                f"firmware limits it: there the motor gets {self.drive_V:.3g} V at most"
+            )
+        return (
+            f"the drive is asked for beyond what the motor gets: it is limited to {self.drive_V:.4g} V, as by a supply"
+        )
+
+
+def limit_of(tests: Sequence[TimeSeries], plain: Estimate) -> Limit:
+    """What the motor got at most; nothing is limited where none shows."""
     noise_rad = noise_of_all_rad(tests)
+    if not plain.is_motor or plain.rms_rad < LEAVES * noise_rad:
+        return Limit()
     largest_V = max(float(np.abs(test.steps.u_V).max()) for test in tests)
     sizes = np.unique(np.round(np.abs(np.concatenate([test.steps.u_V for test in tests])) / (BEYOND * largest_V)))
-    if not plain.is_motor or plain.rms_rad < LEAVES * noise_rad or sizes.size < FEWEST_SIZES:
-        return math.inf
-    limits_V = largest_V * np.geomspace(1.0, LEAST, TRIED)
-    found = [_with(limit_V, tests, plain) for limit_V in limits_V.tolist()]
+    without = _with(Limit(largest_V), tests, plain)
+    if sizes.size >= FEWEST_SIZES:
+        limit, left = _best(0.0, largest_V, tests, plain)
+        cut_off = int(np.sum(BEYOND * sizes > limit.drive_V / largest_V))
+        if left < max(LEAVES * noise_rad, CUTS * without) and cut_off >= FEWEST_SIZES:
+            return limit
+    if any(test.edges is not None or test.t_u_s is not None for test in tests):
+        return Limit()
+    top_rad_s = max(float(np.quantile(_speeds(test), FASTEST)) for test in tests)
+    by_speed = [_best(share * top_rad_s, largest_V, tests, plain) for share in LIMITED]
+    limit, left = min(by_speed, key=lambda found: found[1])
+    beyond, beyond_without = (max(rad**2 - noise_rad**2, 0.0) for rad in (left, without))
+    is_told = left < SHOWS * without and beyond < CUTS_BY_SPEED**2 * beyond_without
+    return limit if is_told else Limit()
+
+
+def _best(from_rad_s: float, largest_V: float, tests: Sequence[TimeSeries], plain: Estimate) -> tuple[Limit, float]:
+    """The best limit from this speed on, and its residual, rad; inf where that of a supply does not show."""
+
+    def left(limit_V: float) -> float:
+        return _with(Limit(limit_V, from_rad_s), tests, plain)
+
+    least = LEAST_BY_SPEED if from_rad_s else LEAST
+    limits_V = (largest_V * np.geomspace(1.0, least, TRIED)).tolist()
+    found = list(map(left, limits_V))
     best = int(np.argmin(found))
-    beyond = np.sum(BEYOND * sizes > limits_V[best] / largest_V)
-    if found[best] > SHOWS * found[0] or beyond < FEWEST_SIZES:
-        return math.inf
-    low_V, high_V = float(limits_V[min(best + 1, TRIED - 1)]), float(limits_V[best - 1])
-    limit_V, left = lowest(lambda at_V: _with(at_V, tests, plain), low_V, high_V, FINER)
-    return limit_V if left < max(LEAVES * noise_rad, CUTS * found[0]) else math.inf
+    if not from_rad_s and found[best] > SHOWS * found[0]:
+        return Limit(), math.inf
+    steps = FINER_BY_SPEED if from_rad_s else FINER
+    limit_V, rad = lowest(left, limits_V[min(best + 1, TRIED - 1)], limits_V[max(best - 1, 0)], steps)
+    return Limit(limit_V, from_rad_s), rad
 
 
-def clipped(test: TimeSeries, limit_V: float) -> TimeSeries:
-    """The test as its motor was driven: no drive is beyond the limit, V, > 0."""
-    edges = test.edges
-    cut = None if edges is None else Steps(edges.edge_s, np.clip(edges.u_V, -limit_V, limit_V))
-    return replace(test, u_V=np.clip(test.u_V, -limit_V, limit_V), edges=cut)
+def clipped(test: TimeSeries, limit: Limit) -> TimeSeries:
+    """The test as its motor was driven: no drive is beyond the limit, > 0."""
+    edges, drive_V = test.edges, limit.drive_V
+    most_V = np.where(_speeds(test) >= limit.from_rad_s, drive_V, math.inf)
+    cut = None if edges is None else Steps(edges.edge_s, np.clip(edges.u_V, -drive_V, drive_V))
+    return replace(test, u_V=np.clip(test.u_V, -most_V, most_V), edges=cut)
 
 
-def _with(limit_V: float, tests: Sequence[TimeSeries], plain: Estimate) -> float:
+def _speeds(test: TimeSeries) -> NDArray[np.float64]:
+    """How fast the shaft turns at each row, rad/s: over so many rows that the sensor's noise hardly moves it."""
+    way_rad = float(np.quantile(np.abs(np.diff(test.y_rad)), FASTEST))
+    beside = min(max(1, math.ceil(test.noise_rad() / (SURE * max(way_rad, 1e-12)))), MOST_BESIDE, len(test) // 4)
+    rows = np.arange(len(test))
+    before, after = np.maximum(rows - beside, 0), np.minimum(rows + beside, len(test) - 1)
+    return np.asarray(np.abs((test.y_rad[after] - test.y_rad[before]) / (test.t_s[after] - test.t_s[before])))
+
+
+def _with(limit: Limit, tests: Sequence[TimeSeries], plain: Estimate) -> float:
     """RMS residual of the plain motor on pieces under such a limit, rad."""
-    return plain_residual_rad([clipped(test, limit_V) for test in tests], plain)
+    return plain_residual_rad([clipped(test, limit) for test in tests], plain)

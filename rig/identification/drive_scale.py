@@ -6,7 +6,7 @@ no record shows it. So do I and D gains that are not 0. So do goals that are wri
 than the log says: the fitted delay shows that something is late, and not what. Goals that jump late give full duty the
 wrong way meanwhile, which a fit takes for friction.
 
-A filter in the readings that was found leaves something unknown, too: `by_filter`.
+A filter in a column that was found leaves something unknown, too: `by_filter`.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ from rig.run_folder.results import Answer, GradedNumber, known
 OF_FRICTION: Final = 3.0
 # Of the time constant of a filter: of 50 ms 1 to 2.5 ms were missing, behind velocities in steps of 10 rpm, or noise
 OF_FILTER: Final = 0.05
+# Of each number, where firmware limits the speed, by what the numbers of made logs were off
+OF_LIMIT: Final = {"tau_s": 0.05, "K_rad_s_V": 0.05, "fc_V": 0.15}
 LATE_S: Final = 1e-3  # by which the position may be older or newer than the middle of its step, at 95 %; assumption
 
 
@@ -67,7 +69,7 @@ def by_own_loop(answer: Answer, loop: OwnLoop) -> Answer:
 
 
 def by_filter(answer: Answer, lag_s: float) -> Answer:
-    """The answer with what a filter of this time constant in its readings, found and undone, leaves unknown in tau.
+    """The answer with what a filter of this time constant in a column, found and undone, leaves unknown in tau.
 
     What is missing in the filter's time constant is too much in tau: a record shows their sum.
     """
@@ -76,10 +78,19 @@ def by_filter(answer: Answer, lag_s: float) -> Answer:
     reasons = []
     if share > ASKED:
         reasons.append(
-            f"a filter of {1e3 * lag_s:.3g} ms in the readings makes tau up to {in_percent(share)} wrong: log the "
-            "position, or the velocity unfiltered"
+            f"a filter of {1e3 * lag_s:.3g} ms in the log makes tau up to {in_percent(share)} wrong: log position and "
+            "drive, or the velocity, as they are"
         )
     return _widened(answer, {"tau_s": share}, reasons)
+
+
+def by_speed_limit(answer: Answer) -> Answer:
+    """The answer with what a limit of the speed in the firmware leaves unknown: when it holds no row says exactly."""
+    reason = (
+        "firmware seems to limit the speed, so the drive is not what the motor got: record with smaller drives, or "
+        "log the bridge's duty"
+    )
+    return _widened(answer, OF_LIMIT, [reason])
 
 
 def _widened(answer: Answer, shares: Mapping[str, float], reasons: Sequence[str]) -> Answer:

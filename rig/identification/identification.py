@@ -14,9 +14,9 @@ import numpy as np
 from rig.core.estimators import ESTIMATORS, LEADING, EstimatorEntry
 from rig.identification.agreement import are_one_motor, disagreement, estimates_of_each
 from rig.identification.breakaway import StaticFriction, breakaway
-from rig.identification.clipped_drive import clipped, clipped_at_V
+from rig.identification.clipped_drive import clipped, limit_of
 from rig.identification.departures.laws import LEVEL_EACH
-from rig.identification.drive_scale import by_filter, by_own_loop
+from rig.identification.drive_scale import by_filter, by_own_loop, by_speed_limit
 from rig.identification.estimate import VERDICTS, Estimate
 from rig.identification.estimator import Estimator
 from rig.identification.friction_map import FrictionMap, friction_map
@@ -29,10 +29,10 @@ from rig.identification.motor_law import MotorLaw, motor_law
 from rig.identification.opinion import RecordingEstimate
 from rig.identification.plausibility import hole_rows, is_cut_off, judge_motor, judge_records
 from rig.identification.preprocessing import from_recording
-from rig.identification.reading_filter import reading_filter
 from rig.identification.records import left_out, require_known
 from rig.identification.sampled_data_verdict import is_early, judge_with_laws, late_s, slipped_rms_rad
 from rig.identification.side_by_side import on_all_cores
+from rig.identification.smoothing import smoothing
 from rig.identification.stroke_delay import strokes_delay
 from rig.identification.time_stamps import drives_stand_late, stamps_off_by, with_stamps_of
 from rig.identification.verdict import by_prediction, largest_drive_V
@@ -57,7 +57,6 @@ from rig.run_folder.results import (
 METHODS = tuple(entry.name for entry in ESTIMATORS)
 AS_GOOD = 1.05  # ratio of residuals within which two explanations are as good
 SHOWS = 1.01  # ratio of residuals beyond which an explanation shows in the tests
-MEAN_OF_ROW = 0.75  # of a period: so short a filter is no filter, but how velocities are summed
 ROWS_EARLY = 3.0  # of a drive that stands rows too late
 MOST = 0.9  # share of what laws explain that another explanation as good explains, too
 
@@ -78,7 +77,8 @@ class Identification:
     notes       rows used, how the gains were found, what was left out and why
     rehearsal   whether a recording is a rehearsal: its motor was made up
     own_loop    of a servo that made a recording; None: volts are volts
-    filter_s    time constant of a filter in the readings that was undone, s; 0: there is none
+    filter_s    by how much a column that was smoothed was late, s; it was undone; 0: none was
+    is_slowed   whether firmware limited the speed, and the drive there was fitted
     """
 
     estimates: dict[str, Estimate] = field(default_factory=dict)
@@ -94,6 +94,7 @@ class Identification:
     rehearsal: bool = False
     own_loop: OwnLoop | None = None
     filter_s: float = 0.0
+    is_slowed: bool = False
 
     def as_result(self) -> IdentificationResult:
         """As `rig identify --json` prints it. result.json has the same names."""
@@ -118,6 +119,8 @@ class Identification:
         answer = answer_of(found) if law is None else law.answer(found, self.leading, largest_V)
         if answer is not None and self.filter_s > 0.0:
             answer = by_filter(answer, self.filter_s)
+        if answer is not None and self.is_slowed:
+            answer = by_speed_limit(answer)
         return answer if answer is None or self.own_loop is None else by_own_loop(answer, self.own_loop)
 
     @property
@@ -254,7 +257,7 @@ def _identified(asked: _Asked, data: Measurements) -> Identification:
             method: replace(e.judged("doubtful", *stamps, *objections), reasons=(*stamps, *e.reasons, *objections))
             for method, e in found.estimates.items()
         }
-    found.filter_s = data.filter_s
+    found.filter_s, found.is_slowed = data.filter_s, data.is_slowed
     static = _add_breakaway(recordings, without, found)
     if asked.choose_law:
         _add_motor_law(data, found, each, static, any(map(_was_known, recordings)))
@@ -309,26 +312,21 @@ def _stand_late(data: Measurements, estimate: Estimate) -> bool:
 
 
 def _takes_change(data: Measurements, estimate: Estimate | None) -> bool:
-    """Whether plain files have a limited drive, or readings behind a low-pass filter. Then ``data`` has what was."""
+    """Whether plain files have a limited drive, or a column that was smoothed. Then ``data`` has what was."""
     if estimate is None or any(test.stage is not None for test in data.tests):
         return False
     try:
-        limit_V = clipped_at_V(data.tests, estimate)
-        filtered = reading_filter(data.tests, estimate) if math.isinf(limit_V) else None
+        limit = limit_of(data.tests, estimate)
+        smoothed = smoothing(data.tests, estimate) if math.isinf(limit.drive_V) else None
     except IdentifyError:
         return False  # too short for pieces
-    if math.isfinite(limit_V):
-        note = f"the drive is asked for beyond what the motor gets: it is limited to {limit_V:.4g} V, as by a supply"
-        data.take(partial(clipped, limit_V=limit_V), note)
-    elif filtered is not None:
-        lag_s, order = filtered
-        by = f"{1e3 * lag_s:.3g} ms{' twice' if order > 1 else ''}"
-        note = f"the reading is low-passed by {by}, as a smoothed velocity is: undone before the fit"
-        if order * lag_s < MEAN_OF_ROW * max(test.period_s for test in data.tests):
-            note = "the readings lag by half a row, as velocities that are summed do: undone before the fit"
-        data.take(filtered.undone, note)
-        data.filter_s = order * lag_s
-    return math.isfinite(limit_V) or filtered is not None
+    if math.isfinite(limit.drive_V):
+        data.take(partial(clipped, limit=limit), limit.in_words())
+        data.is_slowed = limit.from_rad_s > 0.0
+    elif smoothed is not None:
+        data.take(smoothed.undone, smoothed.in_words(max(test.period_s for test in data.tests)))
+        data.filter_s = smoothed.late_s
+    return math.isfinite(limit.drive_V) or smoothed is not None
 
 
 def _stamps(data: Measurements, estimate: Estimate | None) -> list[str]:

@@ -40,7 +40,8 @@ class Measurements:
     changes     one sentence for each change of what plain files say before the fit; also in ``notes``
     notes       what was left out or corrected, how gains and cycles were found
     has_searches  whether gain searches count as tests beside others
-    filter_s    time constant of a filter in the readings that was undone, s; 0: there is none
+    filter_s    by how much a column that was smoothed was late, s; it was undone; 0: none was
+    is_slowed   whether firmware limited the speed, and the drive there was fitted
     """
 
     tests: list[TimeSeries] = field(default_factory=list)
@@ -58,6 +59,7 @@ class Measurements:
     notes: list[str] = field(default_factory=list)
     has_searches: bool = False
     filter_s: float = 0.0
+    is_slowed: bool = False
 
     @property
     def settled(self) -> list[Cycle]:

@@ -163,9 +163,13 @@ def _roughness(test: TimeSeries) -> float:
     return float(np.mean(np.abs(np.diff(np.diff(test.y_rad) / np.diff(test.t_s)))))
 
 
-def unfiltered(test: TimeSeries, lag_s: float) -> TimeSeries:
-    """The series as its shaft moved, behind a filter of this time constant, s, >= 0. The first row is as it was."""
+def unfiltered(test: TimeSeries, lag_s: float, *, of_drive: bool = False) -> TimeSeries:
+    """The series as its shaft moved, or as it was driven, behind a low pass of this time constant, s, >= 0.
+
+    The first row is as it was.
+    """
     if not lag_s > 0.0:
         return test
-    y, left = test.y_rad, np.exp(-np.diff(test.t_s) / lag_s)
-    return replace(test, y_rad=np.append(y[0], y[1:] + np.diff(y) * left / (1.0 - left)))
+    column, left = test.u_V if of_drive else test.y_rad, np.exp(-np.diff(test.t_s) / lag_s)
+    sharp = np.append(column[0], column[1:] + np.diff(column) * left / (1.0 - left))
+    return replace(test, u_V=sharp) if of_drive else replace(test, y_rad=sharp)

@@ -11,7 +11,7 @@ import pytest
 from evidence import evidence
 
 from rig.identification import identify
-from rig.identification.clipped_drive import clipped_at_V
+from rig.identification.clipped_drive import limit_of
 from rig.identification.departures import DEPARTURES
 from rig.identification.departures.blocks import Blocks, HeldOut, held_out, share_cut
 from rig.identification.departures.choice import Chooser, Columns, levels
@@ -173,8 +173,8 @@ def test_a_drive_that_is_asked_for_beyond_its_supply_is_limited() -> None:
     assert any("limited to 5 V" in note for note in found.notes)
     assert found.answer is not None and right(found.answer, MOTOR, 0.025, "tau_s", "K_rad_s_V", "fc_V")
     t_s, u_V, y_rad = recorded(MOTOR._replace(sag_per_V=0.02), (0.0, 3.0, 5.0, 7.0))
-    plain = Estimate("sampled-data", 0.05, 20.0, 0.6, rms_rad=1.0)
-    assert math.isinf(clipped_at_V([TimeSeries(t_s, y_rad, None, u_V)], plain))
+    plain = Estimate("sampled-data", 0.05, 20.0, 0.6, delay_s=0.0, rms_rad=1.0)
+    assert math.isinf(limit_of([TimeSeries(t_s, y_rad, None, u_V)], plain).drive_V)
 
 
 def test_a_drive_two_rows_late_is_fitted_there_and_named() -> None:
@@ -183,6 +183,54 @@ def test_a_drive_two_rows_late_is_fitted_there_and_named() -> None:
     answer = answered((t_s[2:], u_V[:-2], y_rad[2:]))
     assert right(answer, MOTOR, 0.01, "tau_s", "K_rad_s_V", "fc_V")
     assert any("--drive-row -2" in reason for reason in answer.reasons)
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ("mean of positions", "each reading is like a mean of"),
+        ("mean of both", "each row is like a mean of"),
+        ("mean of drives", "each drive is like a mean of"),
+        ("filtered drive", "the drive is low-passed by 15 ms"),
+        ("ramped drive", "the drive goes up and down at one pace"),
+        ("late direction", "the direction of the drive stands 7 rows late"),
+    ],
+)
+def test_a_column_that_was_smoothed_or_came_late_is_named_and_undone(how: str, said: str) -> None:
+    """Among such logs tau was up to 24 % off beside 16 %, and f_c 36 % beside 21 %."""
+    t_s, u_V, y_rad = recorded(MOTOR, (3.0, 5.0, 7.0), rows=1200)
+    at = np.arange(t_s.size)
+    if how.startswith("mean"):
+        wide = (7, 0) if how == "mean of drives" else (4, 3)
+        mean = [np.convolve(np.pad(one, wide, mode="edge"), np.full(8, 0.125), "valid") for one in (u_V, y_rad)]
+        u_V, y_rad = (u_V if how == "mean of positions" else mean[0]), (y_rad if how == "mean of drives" else mean[1])
+    elif how == "late direction":
+        u_V = np.abs(u_V) * np.sign(u_V)[np.maximum(at - 7, 0)]
+    else:
+        steps_V, keep = u_V.copy(), math.exp(-PERIOD_S / 0.015)
+        for k in range(1, at.size):
+            slow = (1.0 - keep) * (steps_V[k] - u_V[k - 1])
+            u_V[k] = u_V[k - 1] + (slow if how == "filtered drive" else np.clip(steps_V[k] - u_V[k - 1], -1.5, 1.5))
+    found = found_in((t_s, u_V, y_rad))
+    assert any(said in change for change in found.changes), found.changes
+    assert found.answer is not None and right(found.answer, MOTOR, 0.025, "tau_s", "K_rad_s_V", "fc_V")
+
+
+def test_a_speed_that_firmware_limits_is_named_and_the_drive_is_what_holds_it() -> None:
+    """K was 21 % off beside 18 %, and tau not known."""
+    t_s, u_V, y_rad = recorded(MOTOR, (3.0, 5.0, 7.0), rows=1200)
+    steps, v, y = 25, 0.0, 0.0
+    for k, drive_V in enumerate(u_V.tolist()):
+        y_rad[k] = y
+        for _ in range(steps):
+            v += PERIOD_S / steps / MOTOR.tau_s * (MOTOR.K_rad_s_V * (drive_V - MOTOR.fc_V * np.sign(v)) - v)
+            v = max(-100.0, min(v, 100.0))
+            y += PERIOD_S / steps * v
+    found = found_in((t_s, u_V, STEP_RAD * np.round(y_rad / STEP_RAD)))
+    assert any("the speed stays near" in change for change in found.changes), found.changes
+    answer = found.answer
+    assert answer is not None and answer.verdict == "doubtful" and "firmware seems to limit" in answer.reasons[0]
+    assert right(answer, MOTOR, 0.03, "tau_s", "K_rad_s_V") and right(answer, MOTOR, 0.1, "fc_V")
 
 
 @pytest.mark.evidence

@@ -1,0 +1,202 @@
+"""A column that was smoothed, or came late, before it was logged: a velocity that a driver smooths, a mean of rows, a
+drive that was measured behind a filter, a direction that was read rows after its size.
+
+Two shapes are told. A low pass works row by row, y_k = a y_{k-1} + (1 - a) x_k: that is undone to the last bit; behind
+a resistor and a capacitor it leaves a delay of half a row. Some smooth twice. Any other shape, such as a mean over
+rows or a ramp, is to a slower motor no more than its middle and its variance s^2: x = y - s^2 y'' / 2. There y'' is the
+difference over half of these rows, so that their noise hardly grows.
+
+The change is looked for with which the plain motor explains pieces of the tests best. It counts where the plain motor
+leaves more than noise, and most of that goes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.identification.estimate import Estimate
+from rig.identification.in_pieces import plain_residual_rad
+from rig.identification.lowest import lowest
+from rig.identification.preprocessing import unfiltered
+from rig.run_folder.recording.series import TimeSeries, noise_of_all_rad
+
+Array = NDArray[np.float64]
+Column = Literal["reading", "drive", "row"]
+
+LEAVES, SHOWS = 1.1, 1.03  # residual over the sensor's noise from which on a smoothing is looked for; over pieces
+# Residual beyond noise with the smoothing over that without it, at most; the same where the record looks wrong: a lag
+# makes a shaft turn against its drive; and of the best that is tried first. Rise of the log likelihood, at least
+CUTS, NEARLY_ALL, PROMISING, SURE = 0.5, 0.1, 0.8, 20.0
+NOISY, TWICE = 3.0, 0.7  # residual over noise from which on two low passes are tried; residual over that with one
+LONGEST_S, TRIED, FINER = 0.2, 7, 16
+EXPLAINS, NEAR = 0.01, 0.95  # residual over the spread of positions, at most; of the longest mean
+MEAN_OF_ROW = 0.75  # of a period: so short a filter is no filter, but how velocities are summed
+SMOOTHED = {"reading": "a smoothed velocity", "drive": "one that was measured", "row": "all that one card reads"}
+MEAN, WAY, RAMP = 0, -1, -2  # orders that are no low pass
+EVENLY, OFTEN = 0.01, 0.2  # how steps of a ramp differ; share of the steps of a drive that are those of its ramp
+ROWS, MOST_ROWS = (4.0, 8.0, 16.0), 24.0  # of means that are tried first; of the longest one
+WAY_ROWS = range(1, 13)
+
+
+class Smoothing(NamedTuple):
+    """How a column was smoothed.
+
+    column   which; "row": both
+    size_s   time constant of a low pass; how long a mean is, or how late the sign of a drive, s
+    order    so many low passes, one after the other; ``MEAN``; ``WAY``: the sign of the drive is late; ``RAMP``: the
+             drive goes at one pace where the motor's stepped
+    is_late  of a mean, whether it is of the rows up to its own; False: of those around it
+    """
+
+    column: Column
+    size_s: float
+    order: int
+    is_late: bool = False
+
+    @property
+    def late_s(self) -> float:
+        """By how much it makes a column late, or would if it were of the rows before."""
+        return {MEAN: 0.5, WAY: 0.0, RAMP: 0.0}.get(self.order, self.order) * self.size_s
+
+    def undone(self, test: TimeSeries) -> TimeSeries:
+        """The test with its column as it was."""
+        if self.order == MEAN:
+            return self._without_mean(test)
+        if self.order == WAY:
+            rows = round(self.size_s / test.period_s)
+            way = _signs(test.u_V)[rows:]
+            return replace(test.part(0, way.size), u_V=np.abs(test.u_V[: way.size]) * way)
+        if self.order == RAMP:
+            return replace(test, u_V=_without_ramps(test.u_V))
+        for _ in range(self.order):
+            test = test if self.column == "drive" else unfiltered(test, self.size_s)
+            test = test if self.column == "reading" else unfiltered(test, self.size_s, of_drive=True)
+        return test
+
+    def _without_mean(self, test: TimeSeries) -> TimeSeries:
+        rows = self.size_s / test.period_s
+        half = max(1, round(0.5 * rows))
+        kept = len(test) - (round(0.5 * (rows - 1.0)) if self.is_late else 0)
+
+        def sharp(values: Array, is_smooth: bool) -> Array:
+            if not is_smooth:
+                return values[:kept]
+            wide = np.pad(values, half, mode="edge")
+            bends = wide[2 * half :] - 2.0 * values + wide[: -2 * half]
+            return np.asarray(values - (rows**2 - 1.0) / (24.0 * half**2) * bends)[-kept:]
+
+        y_rad, u_V = sharp(test.y_rad, self.column != "drive"), sharp(test.u_V, self.column != "reading")
+        return replace(test.part(0, kept), y_rad=y_rad, u_V=u_V).part(half, kept - half)
+
+    def in_words(self, period_s: float) -> str:
+        """What was undone, such as ``the reading is low-passed by 45 ms, as a smoothed velocity is: ...``."""
+        rows = f"{self.size_s / period_s:.2g} rows"
+        if self.order == WAY:
+            return f"the direction of the drive stands {rows} late, and its size does not: undone before the fit"
+        if self.order == RAMP:
+            return "the drive goes up and down at one pace, and the motor's stepped: undone before the fit"
+        if self.order == MEAN:
+            which = "up to its own" if self.is_late else "around it"
+            return f"each {self.column} is like a mean of {rows} {which}: undone before the fit"
+        if self.late_s < MEAN_OF_ROW * period_s and self.column == "reading":
+            return "the readings lag by half a row, as velocities that are summed do: undone before the fit"
+        by = f"{1e3 * self.size_s:.3g} ms{' twice' if self.order > 1 else ''}"
+        return f"the {self.column} is low-passed by {by}, as {SMOOTHED[self.column]} is: undone before the fit"
+
+
+def smoothing(tests: Sequence[TimeSeries], plain: Estimate) -> Smoothing | None:
+    """How a column of the tests was smoothed; None where that does not show."""
+    noise_rad = noise_of_all_rad(tests)
+    if not plain.is_motor or plain.rms_rad < LEAVES * noise_rad or any(test.t_u_s is not None for test in tests):
+        return None
+    period_s = max(test.period_s for test in tests)
+
+    def left(one: Smoothing) -> float:
+        return plain_residual_rad([one.undone(test) for test in tests], plain)
+
+    def beyond(rad: float) -> float:
+        return max(rad**2 - noise_rad**2, 0.0)
+
+    without = plain_residual_rad(tests, plain)
+    if without < SHOWS * noise_rad:
+        return None  # over pieces the plain motor leaves no more than noise
+    tried = {one: left(one) for one in _first(tests, period_s)}
+    best = min(tried, key=lambda one: tried[one])
+    if beyond(tried[best]) > PROMISING**2 * beyond(without):
+        return None
+    found = {best: tried[best]}
+
+    def refine(first: Smoothing, wide: float, longest_s: float) -> None:
+        low_s, high_s = first.size_s / wide, min(first.size_s * wide, longest_s)
+        size_s, rad = lowest(lambda s: left(first._replace(size_s=s)), low_s, high_s, FINER)
+        found[first._replace(size_s=size_s)] = rad
+
+    for order, wide, longest_s in ((1, _apart(period_s), LONGEST_S), (MEAN, 2.0, MOST_ROWS * period_s)):
+        ours = [one for one in tried if (one.column, one.order) == (best.column, order) and tried[one] < without]
+        if ours:
+            refine(min(ours, key=lambda one: tried[one]), wide, longest_s)
+    once = min((one for one in found if one.order == 1), key=lambda one: found[one], default=best)
+    if once.order == 1 and found[once] > NOISY * noise_rad:
+        twice = Smoothing(once.column, 0.5 * once.size_s, 2)  # late by as much as one, and they round off more
+        refine(twice, 2.0, LONGEST_S)
+    by_order = sorted(found, key=lambda one: (one.order, found[one]))
+    best = min((one for one in by_order if one.order < 2), key=lambda one: found[one])
+    best = next((one for one in by_order if one.order == 2 and found[one] < TWICE * found[best]), best)
+    is_sure = sum(map(len, tests)) * math.log(without / found[best]) > SURE
+    # where a motor leaves so much of the motion, or asks for the longest mean, it is no plain one with a smooth column
+    most_rad = max(NOISY * noise_rad, EXPLAINS * max(float(np.std(test.y_rad)) for test in tests))
+    is_told = found[best] < most_rad and not (best.order == MEAN and best.size_s > NEAR * MOST_ROWS * period_s)
+    cuts = NEARLY_ALL if plain.spoiled else CUTS
+    return best if is_sure and is_told and beyond(found[best]) < cuts**2 * beyond(without) else None
+
+
+def _apart(period_s: float) -> float:
+    """Ratio of the low passes that are tried first."""
+    return float((LONGEST_S / (0.5 * period_s)) ** (1.0 / (TRIED - 1)))
+
+
+def _first(tests: Sequence[TimeSeries], period_s: float) -> Iterator[Smoothing]:
+    """What is tried first. Of a drive that was written at its changes nothing is: its edges are known."""
+    columns: tuple[Column, ...] = (
+        ("reading", "drive", "row") if all(test.edges is None for test in tests) else ("reading",)
+    )
+    for column in columns:
+        yield from (Smoothing(column, LONGEST_S / _apart(period_s) ** k, 1) for k in range(TRIED))
+        yield from (
+            Smoothing(column, rows * period_s, MEAN, late)
+            for rows in ROWS
+            for late in (False, True)[: 2 - (column == "row")]
+        )
+    if "drive" in columns and all(map(_goes_at_one_pace, tests)):
+        yield Smoothing("drive", period_s, RAMP)
+    if "drive" in columns and all(np.ptp(_signs(test.u_V)) for test in tests):
+        yield from (Smoothing("drive", rows * period_s, WAY) for rows in WAY_ROWS)
+
+
+def _signs(u_V: Array) -> Array:
+    """The sign of each drive; at 0 V that of the drive before."""
+    driven = np.maximum.accumulate(np.where(u_V != 0.0, np.arange(u_V.size), 0))
+    return np.asarray(np.where(u_V[driven] < 0.0, -1.0, 1.0))
+
+
+def _goes_at_one_pace(test: TimeSeries) -> bool:
+    """Whether many steps of the drive are alike, and none is larger."""
+    steps_V = np.abs(np.diff(test.u_V))
+    return bool(np.mean(steps_V[steps_V > 0.0] > (1.0 - EVENLY) * steps_V.max()) > OFTEN)
+
+
+def _without_ramps(u_V: Array) -> Array:
+    """The drive at once where each of its ramps ends."""
+    steps_V = np.diff(u_V, append=u_V[-1])
+    is_ramp = np.abs(steps_V) > (1.0 - EVENLY) * np.abs(steps_V).max()
+    found = u_V.copy()
+    for k in range(u_V.size - 2, 0, -1):
+        if is_ramp[k - 1] and steps_V[k - 1] * steps_V[k] > 0.0:
+            found[k] = found[k + 1]
+    return found
