@@ -39,6 +39,7 @@ EXPLAINS, NEAR = 0.01, 0.95  # residual over the spread of positions, at most; o
 MEAN_OF_ROW = 0.75  # of a period: so short a filter is no filter, but how velocities are summed
 SMOOTHED = {"reading": "a smoothed velocity", "drive": "one that was measured", "row": "all that one card reads"}
 MEAN, WAY, RAMP = 0, -1, -2  # orders that are no low pass
+AT_ONCE = 0.2  # of a drive's way, in steps between rows that are alike: a smoothed drive has none
 EVENLY, OFTEN = 0.01, 0.2  # how steps of a ramp differ; share of the steps of a drive that are those of its ramp
 ROWS, MOST_ROWS = (4.0, 8.0, 16.0), 24.0  # of means that are tried first; of the longest one
 WAY_ROWS = range(1, 13)
@@ -163,9 +164,9 @@ def _apart(period_s: float) -> float:
 
 def _first(tests: Sequence[TimeSeries], period_s: float) -> Iterator[Smoothing]:
     """What is tried first. Of a drive that was written at its changes nothing is: its edges are known."""
-    columns: tuple[Column, ...] = (
-        ("reading", "drive", "row") if all(test.edges is None for test in tests) else ("reading",)
-    )
+    in_rows = all(test.edges is None for test in tests)
+    may_be_smooth = in_rows and not any(map(_steps_at_once, tests))
+    columns: tuple[Column, ...] = ("reading", "drive", "row") if may_be_smooth else ("reading",)
     for column in columns:
         yield from (Smoothing(column, LONGEST_S / _apart(period_s) ** k, 1) for k in range(TRIED))
         yield from (
@@ -173,9 +174,9 @@ def _first(tests: Sequence[TimeSeries], period_s: float) -> Iterator[Smoothing]:
             for rows in ROWS
             for late in (False, True)[: 2 - (column == "row")]
         )
-    if "drive" in columns and all(map(_goes_at_one_pace, tests)):
+    if may_be_smooth and all(map(_goes_at_one_pace, tests)):
         yield Smoothing("drive", period_s, RAMP)
-    if "drive" in columns and all(np.ptp(_signs(test.u_V)) for test in tests):
+    if in_rows and all(np.ptp(_signs(test.u_V)) for test in tests):
         yield from (Smoothing("drive", rows * period_s, WAY) for rows in WAY_ROWS)
 
 
@@ -183,6 +184,13 @@ def _signs(u_V: Array) -> Array:
     """The sign of each drive; at 0 V that of the drive before."""
     driven = np.maximum.accumulate(np.where(u_V != 0.0, np.arange(u_V.size), 0))
     return np.asarray(np.where(u_V[driven] < 0.0, -1.0, 1.0))
+
+
+def _steps_at_once(test: TimeSeries) -> bool:
+    """Whether much of the drive's way is in steps between rows that are alike, as of a relay: none is smoothed."""
+    steps_V = np.abs(np.diff(test.u_V))
+    at_once = steps_V[1:-1][(steps_V[:-2] == 0.0) & (steps_V[2:] == 0.0)]
+    return bool(at_once.sum() > AT_ONCE * steps_V.sum())
 
 
 def _goes_at_one_pace(test: TimeSeries) -> bool:
