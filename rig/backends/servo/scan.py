@@ -135,7 +135,7 @@ def known_servo(port: Transport, id: int, baud: int) -> ServoLink:
         if not models:
             raise Fault("CONFIG_MISMATCH", f"servo {id} is of model number {number}, which rig does not know")
         return servo_link(port, models[0], id, baud)
-    raise Fault("LINK_TIMEOUT", f"no servo {id} answers at {baud} baud")
+    raise Fault("LINK_TIMEOUT", f"no servo {id} answers at {baud} baud; `rig servo scan` shows who does")
 
 
 def reboot(port: Transport, link: ServoLink) -> None:

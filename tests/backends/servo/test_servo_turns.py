@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+import statistics
 
 import pytest
 from evidence import evidence
@@ -70,12 +71,36 @@ def test_the_steps_of_a_servo_are_found_from_its_clock(began_s: float, gaps_s: l
 
 
 def test_a_clock_of_another_pace_is_followed() -> None:
-    steps, began_s = Steps(), 0.0004
+    steps, began_s, step_s = Steps(), 0.0004, STEP_S * 1.0002
     for k in range(3000):
         t_s = 0.1 + 0.01 * k
-        number = math.floor((t_s - began_s) / (STEP_S * 1.0002))
+        number = math.floor((t_s - began_s) / step_s)
         told_s = steps.take(number % WRAPS, t_s, t_s)
-        assert t_s - STEP_S - 1e-9 <= told_s <= t_s + 1e-9
+        assert t_s - step_s - 1e-9 <= told_s <= t_s + 1e-9
+
+
+@pytest.mark.parametrize("pace", [-0.02, -0.005, 0.005, 0.02])
+def test_the_pace_of_a_clock_is_learnt_also_where_replies_are_late(pace: float) -> None:
+    """Else a quick clock is told by the latest of its replies: 1 ms late in the mean, and 3 ms at most."""
+    steps, rng, errors_s = Steps(), random.Random(1), []
+    for k in range(2000):
+        t_s = 0.01 * k
+        number = math.floor(t_s / (STEP_S * (1.0 + pace)))
+        told_s = steps.take(number % WRAPS, t_s, t_s + rng.uniform(0.0, 0.003))
+        errors_s.append(told_s - number * STEP_S * (1.0 + pace))
+    assert max(map(abs, errors_s[200:])) < STEP_S
+    assert abs(statistics.mean(errors_s[200:])) < 0.3 * STEP_S
+
+
+def test_a_clock_that_stands_or_jumps_spoils_no_later_time() -> None:
+    """Not every restart of a servo shows in its clock."""
+    steps, began_s = Steps(), 0.0004
+    for k in range(1000):
+        t_s = 0.1 + 0.01 * k
+        stood = 5 if k < 20 else math.floor((t_s - began_s) / STEP_S) - (80 if k > 100 else 0)
+        told_s = steps.take(stood, t_s, t_s)
+        assert t_s - 1.03 * STEP_S - 1e-9 <= told_s <= t_s + 1e-9
+    assert steps.step_s == pytest.approx(STEP_S, rel=1e-3)
 
 
 @given(held_up_s=st.lists(st.floats(0.0, 0.004), min_size=40, max_size=80), share=st.floats(0.0, 1.0))
