@@ -216,6 +216,17 @@ def test_a_column_that_was_smoothed_or_came_late_is_named_and_undone(how: str, s
     assert found.answer is not None and right(found.answer, MOTOR, 0.025, "tau_s", "K_rad_s_V", "fc_V")
 
 
+def test_a_drive_that_is_another_in_each_of_many_rows_is_not_smoothed() -> None:
+    """Two rows as one, with their mean drive, left six times as much; a low pass took it: tau could leave its u95."""
+    t_s = np.linspace(0.0, 5000 * PERIOD_S, 5000, endpoint=False)
+    u_V = np.asarray(6.0 * np.sin(2.0 * math.pi * (0.4 + 0.132 * t_s) * t_s) * (t_s >= 0.2))
+    y_rad = response(MOTOR, Frame(duration_s=float(t_s[-1])), (t_s, u_V), t_s, Pieces.one())
+    drifts = y_rad + 5e-4 * np.sin(2.0 * t_s)
+    found = found_in((t_s, u_V, 0.1 * STEP_RAD * np.round(drifts / (0.1 * STEP_RAD))))
+    assert found.changes == []
+    assert found.answer is not None and right(found.answer, MOTOR, 0.005, "tau_s", "K_rad_s_V", "fc_V")
+
+
 def test_a_speed_that_firmware_limits_is_named_and_the_drive_is_what_holds_it() -> None:
     """K was 21 % off beside 18 %, and tau not known."""
     t_s, u_V, y_rad = recorded(MOTOR, (3.0, 5.0, 7.0), rows=1200)
