@@ -42,7 +42,7 @@ import numpy as np
 from rig.core.arrays import Array
 from rig.identification.chance import chi_squared_quantile, student_975
 from rig.identification.departures.budget import COVERAGE, Entry
-from rig.identification.departures.fit import POSITIVE, Fit, refitted, solve, sums_of_pieces, unit
+from rig.identification.departures.fit import POSITIVE, Fit, refitted, solve, sums_of_pieces, to_diagonal_1, unit
 from rig.identification.departures.fit import start as begin
 from rig.identification.departures.nuisances import OF
 from rig.identification.departures.pieces import FEWEST_ROWS, Cut
@@ -390,7 +390,7 @@ def _at_rows(window: Window, late_s: float = 0.0) -> Array:
 
 
 def _inverse(matrix: Array) -> Array:
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    scale = to_diagonal_1(matrix)
     return np.asarray(
         np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-12, hermitian=True) * np.outer(scale, scale)
     )

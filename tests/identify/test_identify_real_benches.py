@@ -865,6 +865,19 @@ def test_pieces_that_differ_by_noise_alone_are_believed_where_the_fit_leaves_mor
     assert 1.2 < beyond_noise(matrix, pulls, 1.0, [0, 1, 2], as_noise=False)[1] < 3.0
 
 
+def test_a_number_without_effect_takes_nothing_from_what_pieces_say_of_the_others() -> None:
+    """As the force at which a friction begins that grows with it, where its share is 0: its column is 0."""
+    rng = np.random.default_rng(4)
+    one = rng.normal(size=(40, 30, 8))
+    pulls = rng.normal(size=(40, 8)) * 12.0
+    matrix = np.einsum("pri,prj->pij", one, one)
+    wider = np.insert(np.insert(matrix, 4, 0.0, axis=1), 4, 0.0, axis=2)
+    with_it = beyond_noise(wider, np.insert(pulls, 4, 1e-9, axis=1), 1.0, [0, 1, 2])[2]
+    without = beyond_noise(matrix, pulls, 1.0, [0, 1, 2])[2]
+    assert np.all(without > 3.0)
+    np.testing.assert_allclose(with_it, without, rtol=0.05)  # a number more takes half a piece
+
+
 def test_evidence_of_a_law_that_pulls_parts_to_and_fro_counts_as_of_fewer_rows() -> None:
     random = np.random.default_rng(9)
     parts, each = 12, 100

@@ -470,6 +470,12 @@ def _reduced(own: Array, border: Array, scale: Array, damping: float, both: Arra
     return left, of_starts
 
 
+def to_diagonal_1(matrix: Array) -> Array:
+    """(m,) by what to multiply rows and columns of normal equations for a diagonal of 1; 0 of a number of no effect."""
+    told = np.diag(matrix)
+    return np.where(told > 0.0, 1.0 / np.sqrt(np.where(told > 0.0, told, 1.0)), 0.0)
+
+
 def sums_of_pieces(rows: Rows, begins: NDArray[np.int64]) -> tuple[Array, Array]:
     """Normal equations (p, m, m) and (p, m) of each piece, its start taken out; ``begins``: first rows, row numbers."""
     ends = np.append(begins[1:], rows.residual.size)

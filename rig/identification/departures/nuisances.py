@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rig.core.arrays import Array
 from rig.identification.departures.choice import Columns
 from rig.identification.departures.departure import NOTHING, Bench, Departure
-from rig.identification.departures.fit import POSITIVE, Fit, Rows, unit
+from rig.identification.departures.fit import POSITIVE, Fit, Rows, to_diagonal_1, unit
 
 Begins = NDArray[np.int64]
 
@@ -124,7 +124,7 @@ class Nuisances:
     def _own(self) -> tuple[Array, Array]:
         """The normal equations of the fit's own numbers, scaled to a diagonal of 1, and by what: their product."""
         own = self.matrix[: self.core, : self.core]
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(own), 1e-300))
+        scale = to_diagonal_1(own)
         both = np.outer(scale, scale)
         return own * both, both
 
