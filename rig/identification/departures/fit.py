@@ -471,7 +471,10 @@ def _reduced(own: Array, border: Array, scale: Array, damping: float, both: Arra
 
 
 def to_diagonal_1(matrix: Array) -> Array:
-    """(m,) by what to multiply rows and columns of normal equations for a diagonal of 1; 0 of a number of no effect."""
+    """(m,) by what to multiply rows and columns for a diagonal of 1; 0 of a number of no effect.
+
+    matrix  (m, m) normal equations, whitened: in 1 over the units of its numbers
+    """
     told = np.diag(matrix)
     return np.where(told > 0.0, 1.0 / np.sqrt(np.where(told > 0.0, told, 1.0)), 0.0)
 
