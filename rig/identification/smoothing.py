@@ -39,6 +39,7 @@ EXPLAINS, NEAR = 0.01, 0.95  # residual over the spread of positions, at most; o
 MEAN_OF_ROW = 0.75  # of a period: so short a filter is no filter, but how velocities are summed
 SMOOTHED = {"reading": "a smoothed velocity", "drive": "one that was measured", "row": "all that one card reads"}
 MEAN, WAY, RAMP = 0, -1, -2  # orders that are no low pass
+OF_STEP, SMALL = 0.5, 0.05  # way from row to row, of a step of the sensor; a drive, of the largest one
 AT_ONCE = 0.2  # of a drive's way, in steps between rows that are alike: a smoothed drive has none
 EVENLY, OFTEN = 0.01, 0.2  # how steps of a ramp differ; share of the steps of a drive that are those of its ramp
 ROWS, MOST_ROWS = (4.0, 8.0, 16.0), 24.0  # of means that are tried first; of the longest one
@@ -165,8 +166,11 @@ def _apart(period_s: float) -> float:
 
 
 def _first(tests: Sequence[TimeSeries], period_s: float) -> Iterator[Smoothing]:
-    """What is tried first. Of a drive that was written at its changes nothing is: its edges are known."""
-    in_rows = all(test.edges is None for test in tests)
+    """What is tried first. Of a drive that was written at its changes nothing is: its edges are known.
+
+    Nor is one smoothed behind a coarse sensor: a low pass takes of its steps, which look like anything.
+    """
+    in_rows = all(test.edges is None for test in tests) and not all(map(_is_within_steps, tests))
     may_be_smooth = in_rows and not any(map(_steps_at_once, tests))
     columns: tuple[Column, ...] = ("reading", "drive", "row") if may_be_smooth else ("reading",)
     for column in columns:
@@ -178,7 +182,7 @@ def _first(tests: Sequence[TimeSeries], period_s: float) -> Iterator[Smoothing]:
         )
     if may_be_smooth and all(map(_goes_at_one_pace, tests)):
         yield Smoothing("drive", period_s, RAMP)
-    if in_rows and all(np.ptp(_signs(test.u_V)) for test in tests):
+    if in_rows and all(map(_turns_at_a_drive, tests)):
         yield from (Smoothing("drive", rows * period_s, WAY) for rows in WAY_ROWS)
 
 
@@ -186,6 +190,18 @@ def _signs(u_V: Array) -> Array:
     """The sign of each drive; at 0 V that of the drive before."""
     driven = np.maximum.accumulate(np.where(u_V != 0.0, np.arange(u_V.size), 0))
     return np.asarray(np.where(u_V[driven] < 0.0, -1.0, 1.0))
+
+
+def _is_within_steps(test: TimeSeries) -> bool:
+    """Whether rows lie within the steps of the sensor."""
+    return bool(np.mean(np.abs(np.diff(test.y_rad))) <= OF_STEP * test.resolution_rad())
+
+
+def _turns_at_a_drive(test: TimeSeries) -> bool:
+    """Whether the sign changes, and mostly between two drives: one that passes 0 V changes it where it must."""
+    turns = np.flatnonzero(np.diff(_signs(test.u_V)))
+    size_V = np.abs(test.u_V)
+    return bool(turns.size) and float(np.median(np.minimum(size_V[turns], size_V[turns + 1]))) > SMALL * size_V.max()
 
 
 def _steps_at_once(test: TimeSeries) -> bool:
