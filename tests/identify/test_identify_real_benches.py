@@ -616,7 +616,7 @@ def test_a_law_that_seems_worth_nothing_beside_another_stays_where_the_fit_witho
     assert begun.chooser._dropped(fit, laws)[1] == (laws if dead_band_V else ())
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [2, *evidence(1)])
 def test_what_the_plain_motor_says_of_whole_tests_that_it_does_not_bear_is_no_answer(seed: int) -> None:
     """A slow random load in a position loop: fitted whole, tau was 98 % off. The pieces bear the motor."""
     random, step_s, rows, truth = np.random.default_rng(seed), 5e-4, 1600, (0.05, 6.4, 0.75)
