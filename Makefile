@@ -60,9 +60,9 @@ lint: .venv/.ready
 types: .venv/.ready
 	.venv/bin/mypy
 
-# read and resolved, as `make docs` does; what that writes then, nobody reads here
+# read and resolved, as `make docs` does; what that writes then, nobody reads here, nor its curly quotes
 pages: .venv/.ready
-	.venv/bin/sphinx-build -q -W --keep-going -b dummy docs build/pages
+	.venv/bin/sphinx-build -q -W --keep-going -b dummy -D smartquotes=0 docs build/pages
 
 analysis: .venv/.ready
 	@$(MAKE) --no-print-directory -s -C firmware cppcheck

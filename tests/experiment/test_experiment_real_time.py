@@ -34,7 +34,7 @@ def _plain(monkeypatch: pytest.MonkeyPatch) -> None:
 def shorter(config: dict[str, Any]) -> dict[str, Any]:
     """Each second is a second here."""
     config["breakaway"] |= {"ramp_V_s": 0.8, "rest_s": 0.2}
-    config["relay"] = {"gains": GAINS, "cycles": 5}
+    config["relay"] = {"gains": GAINS, "cycles": 3}
     config["tracking"] |= {"duration_s": 2.0, "methods": ["sampled-data"]}
     return config
 
