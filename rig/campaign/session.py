@@ -91,7 +91,7 @@ def workers(backend: Backend, jobs: int, scheduler: str | None = None) -> Iterat
     if scheduler is None:
         # dask itself gives its workers OMP_NUM_THREADS=1 and the like
         with _interrupts_held():
-            cluster = LocalCluster(  # type: ignore[no-untyped-call]
+            cluster = LocalCluster(
                 n_workers=jobs,
                 threads_per_worker=1,
                 processes=True,
@@ -103,7 +103,7 @@ def workers(backend: Backend, jobs: int, scheduler: str | None = None) -> Iterat
         cluster = nullcontext(scheduler)
     with cluster as where:
         try:
-            client = Client(where, timeout=JOIN_S)  # type: ignore[no-untyped-call]
+            client = Client(where, timeout=JOIN_S)
         except (OSError, ValueError) as error:
             raise CampaignError(
                 f"no dask scheduler at {where}: {error}", "start one (`dask scheduler`, `dask worker`), or leave it out"

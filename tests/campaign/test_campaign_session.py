@@ -167,7 +167,7 @@ def test_a_dask_cluster_gives_the_same_rows(tmp_path: Path) -> None:
 def test_a_cluster_that_is_there_is_joined_and_left_running(tmp_path: Path) -> None:
     from distributed import LocalCluster  # it loads slowly, and the other tests need it not
 
-    with LocalCluster(  # type: ignore[no-untyped-call]  # distributed tells no types
+    with LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, host="127.0.0.1", protocol="tcp", dashboard_address=None
     ) as cluster:
         address = cluster.scheduler_address
