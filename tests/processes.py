@@ -35,13 +35,19 @@ def rows(trace: Path) -> list[dict[str, float]]:
     return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(whole)]
 
 
-# `rig` in a process of its own, but no laws are sought and no page is made, which takes longer than most runs do
-PLAIN_RIG = """
-from rig.cli import main
+_PLAIN = """
 from rig.identification import identification
 from rig.running import session
 
 identification._add_motor_law = lambda *_: None
 session.write_report = lambda folder, *_: (folder / "report.html").write_text("not in this test")
-main()
 """
+# `rig` in a process of its own, but no laws are sought and no page is made, which takes longer than most runs do
+PLAIN_RIG = f"{_PLAIN}\nfrom rig.cli import main\nmain()\n"
+
+
+def plain_runs(folder: Path) -> dict[str, str]:
+    """The environment of a process whose own `rig run` end as those of PLAIN_RIG."""
+    begin = f"import sys\nif sys.orig_argv[2:5] == ['-m', 'rig', 'run']:\n    exec({_PLAIN!r})\n"
+    (folder / "sitecustomize.py").write_text(begin, encoding="utf-8")
+    return os.environ | {"PYTHONPATH": str(folder)}

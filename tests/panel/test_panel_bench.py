@@ -145,8 +145,9 @@ def test_of_two_panels_one_holds_the_jog_and_the_other_takes_nothing_from_it(
         assert held.u_V() == -1.0
 
 
+@pytest.mark.parametrize("instead", [lambda path: None, Path.mkdir, lambda path: path.symlink_to("/dev/zero")])
 def test_a_run_whose_flag_is_gone_is_known_and_stopped_by_a_signal_until_it_ends(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    instead: Callable[[Path], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sent: list[tuple[int, int]] = []
     monkeypatch.setattr("rig.run_folder.live.stop_flag.os.kill", lambda *given: sent.append(given))
@@ -157,6 +158,7 @@ def test_a_run_whose_flag_is_gone_is_known_and_stopped_by_a_signal_until_it_ends
         for _ in range(2):
             bench.look()
             assert [one.folder for one in bench.running] == [folder] and bench.lost(folder) is None
+    instead(folder / "stop.flag")
     bench.look()
     assert running(tmp_path) == [] and [one.folder for one in bench.running] == [folder]
     assert bench.lost(folder) is not None
