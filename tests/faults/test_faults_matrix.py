@@ -272,7 +272,7 @@ def test_a_bound_that_is_too_tight_and_a_code_that_is_another_are_found() -> Non
     found = measure(wrong, BOARD, 0.5)
     assert any("drive on for" in words for words in found.trouble)
     assert any("LINK_TIMEOUT" in words for words in found.trouble)
-    told = cells(wrong, Line(wrong, BOARD, CYCLE, times(BOARD), (found,)).kept("today", ""))
+    told = cells(wrong, Line(wrong, BOARD, CYCLE, times(BOARD, "relay"), (found,)).kept("today", ""))
     assert "**broken**" in told[1] and told[4] == "LINK_TIMEOUT, 1"
 
 
@@ -287,7 +287,7 @@ def test_a_sample_that_the_record_has_not_is_found(monkeypatch: pytest.MonkeyPat
         if row[0] % 50 == 7:
             self._opened -= 1  # the next row takes its place
 
-    undisturbed(BOARD)
+    undisturbed(BOARD, "relay")
     monkeypatch.setattr(Recorder, "sample", forgetful)
     found = measure(next(row for row in ROWS if row.name == "host SIGTERM"), BOARD, 0.5)
     assert found.lost > 5
@@ -330,7 +330,7 @@ def test_a_guard_whose_travel_rule_does_nothing_is_found(monkeypatch: pytest.Mon
 
     But where the relay drives inward meanwhile: that the shaft heeds no drive is another rule's, so it is off, too.
     """
-    undisturbed(BARE), undisturbed(BARE, stage.course)
+    undisturbed(BARE, "relay"), undisturbed(BARE, stage.course)
     monkeypatch.setattr(Guard, "_check_polarity", lambda *_: None)
     monkeypatch.setattr(Guard, "_limit_travel", lambda self, sample, asked_V: (asked_V, 0))
     row = next(row for row in ROWS if row.name == "pushed over a limit")
@@ -524,10 +524,10 @@ def test_the_page_has_every_row_on_every_device_with_a_number_and_none_broken() 
 
 def test_the_page_is_what_the_command_writes() -> None:
     row = next(row for row in ROWS if row.name == "port gone")
-    bound_s = row.on(CYCLE.traits(BOARD.traits)).bound.seconds(times(BOARD))
+    bound_s = row.on(CYCLE.traits(BOARD.traits)).bound.seconds(times(BOARD, "relay"))
     next_run = "refused: LINK_LOST; mended: moves"
     found = Found(row.name, BOARD.key, CYCLE.key, 0.1, 0.03, bound_s, 0.0, "LINK_LOST", 1, 0, next_run)
-    one = Line(row, BOARD, CYCLE, times(BOARD), (found,))
+    one = Line(row, BOARD, CYCLE, times(BOARD, "relay"), (found,))
     lines = kept.NONE.with_measured([one], "today", "c0de")
     page, short = render_rows(lines, [row], [BOARD]), render_summary(lines, [row], [BOARD])
     for text in ("## On the host-board device", "| port gone |", "refused: LINK_LOST; mended: moves", "2 tick"):

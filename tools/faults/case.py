@@ -248,7 +248,7 @@ def finished(folder: Path, status: int, output: str) -> Run:
 
 
 @lru_cache
-def undisturbed(backend: Backend, course: Course = "relay") -> Undisturbed:
+def undisturbed(backend: Backend, course: Course) -> Undisturbed:
     """The run in which nothing goes wrong. Raises RuntimeError where something does."""
     with tempfile.TemporaryDirectory() as name:
         injector, _ = new_injector(backend, backend.config(course), Path(name), 1)
@@ -305,9 +305,9 @@ def _last(name: str, names: list[str]) -> int:
 
 
 @lru_cache
-def times(backend: Backend, course: Course = "relay") -> Times:
+def times(backend: Backend, course: Course) -> Times:
     """What bounds are made of on a device, in an experiment."""
-    begin_s, end_s = undisturbed(backend).windows[CYCLE.key]
+    begin_s, end_s = undisturbed(backend, "relay").windows[CYCLE.key]
     with tempfile.TemporaryDirectory() as name:
         return backend.times(new_injector(backend, backend.config(course), Path(name), 1)[1], end_s - begin_s)
 
@@ -318,7 +318,7 @@ def measure(row: Row, backend: Backend, phase: float, stage: Stage | None = None
     stage  default: the one that the row is written for, START where it is early, else CYCLE
     """
     stage = stage or (START if row.early else CYCLE)
-    undisturbed(backend), undisturbed(backend, stage.course)
+    undisturbed(backend, "relay"), undisturbed(backend, stage.course)
     row = row.on(stage.traits(backend.traits))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

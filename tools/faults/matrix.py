@@ -187,5 +187,5 @@ def _real(number: int, which: int, k: int, phases: int) -> RealFound | Unmeasure
 @lru_cache
 def _warm(key: str) -> None:
     """Freeze what is loaded by now: to collect it before each arming would take 0.15 s for nothing."""
-    undisturbed(_BY_KEY[key])
+    undisturbed(_BY_KEY[key], "relay")
     gc.freeze()

@@ -74,14 +74,14 @@ def spend(key: str, hours: float, seed: int) -> Day:
     """Run after run on the device of that key, until its time is spent."""
     backend = next(b for b in PLAIN if b.key == key)
     rng, day = random.Random(f"{backend.key} {seed}"), Day(backend.key)
-    plain = undisturbed(backend)
+    plain = undisturbed(backend, "relay")
     config = backend.config()
     config["relay"]["cycles"] = CYCLES
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         injector, experiment = new_injector(backend, config, folder, rng.randrange(2**32))
         language, limits = backend.language, experiment.limits.hard_rad
-        times, (cycle_s, next_s) = times_of(backend), plain.windows[CYCLE.key]
+        times, (cycle_s, next_s) = times_of(backend, "relay"), plain.windows[CYCLE.key]
         device, timeout_s, began_s = injector.device, experiment.daq.timeout_s, injector.now_s()
         while (injector.now_s() - began_s) < 3600.0 * hours:
             row = rng.choice(rows_for(backend)) if rng.random() < FAULTY else NOTHING
