@@ -937,7 +937,6 @@ def test_friction_that_falls_in_the_course_of_each_recording_is_one_law() -> Non
     assert right(answer, MOTOR, 0.025, "tau_s", "K_rad_s_V", "fc_V")
 
 
-@pytest.mark.evidence
 def test_a_filter_in_the_reading_is_named_and_undone() -> None:
     t_s, u_V, y_rad = recorded(MOTOR, (3.0, 5.0, 7.0), rows=1000)
     filtered, keep = y_rad.copy(), math.exp(-PERIOD_S / 0.045)

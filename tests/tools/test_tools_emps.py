@@ -31,7 +31,7 @@ def published_numbers(one: Found) -> None:
 
 
 @WITH_RECORD
-@pytest.mark.evidence  # make test has pulses of it: test_records_of_real_motors_have_their_published_numbers
+@pytest.mark.evidence  # make test has another real motor: test_a_record_of_a_real_motor_has_its_published_numbers
 def test_a_real_drive_has_its_published_numbers_and_the_law_predicts_what_it_has_not_seen() -> None:
     record = published.read(Path(FILE))
     half = every_other(record)

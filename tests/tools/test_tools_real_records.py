@@ -41,8 +41,8 @@ pytestmark = pytest.mark.long
         ("one_way_levels.csv", "doubtful", TRUE, "one way only"),
         ("file_fwd.csv file_rev.csv", "ok", TRUE, "dead band"),
         ("demo-refused", "ok", (0.17, 6.5, 0.48), ""),
-        ("vel_lpf5ms.csv", "ok", TRUE, "low-passed by 5"),
         *evidence(
+            ("vel_lpf5ms.csv", "ok", TRUE, "low-passed by 5"),  # make test has such a filter in tests/identify
             ("steps.csv", "ok", SLOW, ""),
             ("unsigned_drive.csv", "refused", None, "the drive is never negative"),
             ("stamp_of_line_before.csv", "doubtful", None, "--time-row -1"),
@@ -90,13 +90,20 @@ def test_a_log_whose_drive_is_beyond_full_or_whose_clock_stands_is_refused(tmp_p
 
 @WITH_DATA
 @pytest.mark.laws
-def test_records_of_real_motors_have_their_published_numbers(tmp_path: Path) -> None:
-    entries = {one.name: one for kind in ("real", "emps") for one in command.entries(kind, DATA, tmp_path)}
+def test_a_record_of_a_real_motor_has_its_published_numbers(tmp_path: Path) -> None:
+    entries = {one.name: one for one in command.entries("real", DATA, tmp_path)}
     found, _, _ = command.identified(entries["nb_prbs"])
     assert found is not None and found.answer is not None and found.answer.grade is not None
     tau, gain = (found.answer.grade[name] for name in ("tau_s", "K_rad_s_V"))
     assert tau.value is not None and gain.value is not None
     assert tau.value == pytest.approx(0.465, abs=tau.u95) and gain.value == pytest.approx(30.1, abs=gain.u95)
+
+
+@WITH_DATA
+@pytest.mark.evidence  # make test has another real motor, above
+@pytest.mark.laws
+def test_a_law_of_a_real_motor_halves_the_error_of_what_it_predicts(tmp_path: Path) -> None:
+    entries = {one.name: one for one in command.entries("emps", DATA, tmp_path)}
     pulses, _, _ = command.identified(entries["DATA_EMPS_PULSES"])
     assert pulses is not None and pulses.answer is not None and pulses.answer.predicts is not None
     assert "viscous_by_direction" in [law.name for law in pulses.answer.law or ()]
