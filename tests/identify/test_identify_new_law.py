@@ -43,7 +43,7 @@ from rig.config.schema import EmulatedParts
 from rig.model.real_motor import RealMotor
 from rig.output.export.motor import KnownNumber
 truth = RealMotor(0.08, 1.2, 0.6, fan_V_s3_rad3=0.005)
-(law,) = answered(recorded(truth, (3.0, 6.0, 9.0))).law
+(law,) = answered(recorded(truth, (3.0, 6.0, 9.0), rows=800)).law
 said = KnownNumber("fan_V_s3_rad3", law.numbers["fan_V_s3_rad3"]).line()
 emulated = EmulatedParts(fan_V_s3_rad3=0.005).fan_V_s3_rad3
 print(json.dumps([law.name, law.value, law.ci95, law.unit, said, emulated]))
