@@ -11,7 +11,7 @@ import { copyFileSync, existsSync, readFileSync, readdirSync } from "node:fs";
 import { chromium } from "playwright-core";
 
 const { url, panel_pid, runs, config, calibrate_config, jog_config, shared_url, password, shots, patience_ms } = JSON.parse(process.argv[2]);
-const FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"];
+const FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync", "--renderer-process-limit=1", "--disable-features=SpareRendererForSitePerProcess,IsolateSandboxedIframes"];
 const seen = { complaints: [], stops: 0, unnamed: [], heard: {} };
 let page;
 
