@@ -239,7 +239,6 @@ def test_the_next_run_says_why_the_device_was_reset(name: str, cause: str, backe
 
 @pytest.mark.evidence  # in virtual time it is a row on the board; in real time make test has test_faults_kill.py
 @pytest.mark.realtime
-@pytest.mark.alone  # it measures how late something is
 @pytest.mark.parametrize("name", ["host SIGSTOP, 1 s"])
 def test_a_process_that_is_stopped_in_real_time(name: str) -> None:
     """The bound is longer by what this machine was late in this run, device and loop."""
