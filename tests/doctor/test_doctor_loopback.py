@@ -3,7 +3,6 @@
 import errno
 import json
 import os
-import shutil
 import subprocess
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -13,6 +12,7 @@ from types import SimpleNamespace
 import pytest
 from click.testing import CliRunner
 from evidence import evidence
+from firmware_copy import copied_firmware
 
 from emulated_chips import build as chip_build
 from emulated_chips.opening import bare_chip
@@ -55,8 +55,7 @@ def build_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str
     """Builds a board's firmware with a defect; from then on every such chip runs it."""
 
     def build(board: str, defect: tuple[str, str, str]) -> None:
-        sources = tmp_path / "firmware"
-        shutil.copytree(firmware_build.source_folder(), sources, ignore=shutil.ignore_patterns("node_modules"))
+        sources = copied_firmware(tmp_path / "firmware")
         where, right, wrong = defect
         text = (sources / where).read_text()
         assert text.count(right) == 1, f"{where} has changed: adapt the defect"

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 from evidence import first_of_each
+from firmware_copy import copied_firmware
 
 import fuzz_corpus
 from rig.backends.serial.emulated.firmware_build import source_folder
@@ -158,8 +158,7 @@ def test_a_short_run_breaks_nothing(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def firmware(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the sources, to put a defect in."""
-    folder = tmp_path_factory.mktemp("sources") / "firmware"
-    shutil.copytree(source_folder(), folder)
+    folder = copied_firmware(tmp_path_factory.mktemp("sources") / "firmware")
     made = make(folder, "replay", f"BUILD={folder / 'build'}", "CFLAGS=-O0")
     assert made.returncode == 0, made.stdout + made.stderr  # as it is, the corpus breaks nothing
     return folder

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import NamedTuple
 
 import pytest
 from evidence import evidence
+from firmware_copy import copied_firmware
 from pico_host import HELD, SETUP, PicoHost, pico
 
 from emulated_chips import build as chip_build
@@ -85,8 +85,7 @@ def build_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Call
     def build(name: str) -> Variant:
         defect = DEFECTS[name]
         real = chip_build.build_pico_chip(defect.options)
-        sources = tmp_path / "firmware"
-        shutil.copytree(firmware_build.source_folder(), sources, ignore=shutil.ignore_patterns("node_modules"))
+        sources = copied_firmware(tmp_path / "firmware")
         path = sources / "boards" / "pico" / defect.where
         text = path.read_text()
         assert text.count(defect.right) == 1, f"{defect.where} has changed: adapt the defect {name!r}"

@@ -8,7 +8,6 @@ from __future__ import annotations
 import itertools
 import random
 import re
-import shutil
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,6 +15,7 @@ from pathlib import Path
 import pytest
 from chip_host import HELD, QUIET, SETUP, ChipHost, armed_chip
 from evidence import evidence
+from firmware_copy import copied_firmware
 from second_chip import SecondChip, SecondHost
 
 from emulated_chips import build as chip_build
@@ -96,8 +96,7 @@ def build_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Call
     real = chip_build.build_chip()
 
     def build(name: str, options: Variant) -> None:
-        sources = tmp_path / "firmware"
-        shutil.copytree(firmware_build.source_folder(), sources)
+        sources = copied_firmware(tmp_path / "firmware")
         where, right, wrong = DEFECTS[name]
         path = sources / "boards" / "uno" / where
         text = path.read_text()

@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from firmware_copy import copied_firmware
 
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.emulated import firmware_build
@@ -36,7 +37,7 @@ def test_an_installed_rig_builds_in_the_users_cache(monkeypatch: pytest.MonkeyPa
 def test_a_clone_may_lie_in_a_folder_with_blanks_and_umlauts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """No name that make builds may hold a blank. The compiler here writes empty files: it is about names alone."""
     clone = tmp_path / "Übung für alle"
-    shutil.copytree(firmware_build.source_folder(), clone / "firmware", ignore=shutil.ignore_patterns("node_modules"))
+    copied_firmware(clone / "firmware")
     compiler = tmp_path / "cc"
     compiler.write_text('#!/bin/sh\nwhile [ "$1" != -o ]; do shift; done\ntouch "$2"\n')
     compiler.chmod(0o755)

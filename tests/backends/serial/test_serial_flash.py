@@ -19,12 +19,13 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
+from firmware_copy import copied_firmware
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.serial import flash
-from rig.backends.serial.emulated.firmware_build import Variant, source_folder
+from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.flash import FlashError, Port
 from rig.backends.serial.frames import FrameReader, Hello, Kind, encode
 from rig.cli import main
@@ -314,8 +315,7 @@ def test_without_avrdude_its_package_is_named(monkeypatch: pytest.MonkeyPatch, t
 def test_without_the_compiler_or_its_library_the_packages_are_named(
     avrdude: Path, monkeypatch: pytest.MonkeyPatch, here: tuple[str, ...], tmp_path: Path
 ) -> None:
-    sources = tmp_path / "firmware"  # never built
-    shutil.copytree(source_folder(), sources)
+    sources = copied_firmware(tmp_path / "firmware")  # never built
     monkeypatch.setattr("rig.backends.serial.emulated.firmware_build.source_folder", lambda: sources)
     for name in here:
         program = avrdude.parent / name
