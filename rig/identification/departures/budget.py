@@ -2,10 +2,10 @@
 
 Type A is the scatter of the fit. To it comes every law that the record neither shows nor excludes. Such a law is kept
 as a nuisance: a bench has it with a probability of ``PRESENT``, or of ``UNTOLD``, in a size up to
-``Departure.range_of``. The record changes both, by Bayes' rule. What the law then moves tau, K and friction by, weighed
-by how probable it still is, is its line. Two or three laws that hide each other have a line together: each alone may be
-excluded, while all are not. Where another law would explain the record nearly as well as one that was found, that has a
-line as well.
+``Departure.range_of``. The record changes both, by Bayes' rule. What the law then moves tau, K and friction by,
+weighted by how probable it still is, is its line. Two or three laws that hide each other have a line together: each
+alone may be excluded, while all are not. Where another law would explain the record nearly as well as one that was
+found, that has a line as well.
 
 No record shows how large the bench's volt, radian and second are. What their errors move is in the absolute lines.
 """
