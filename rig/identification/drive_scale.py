@@ -89,7 +89,7 @@ def by_filter(answer: Answer, lag_s: float, left: float = 0.0) -> Answer:
     if left == 1.0:
         reasons.append(
             f"position or drive seem to be smoothed, and so late by {1e3 * lag_s:.2g} ms, in a way that cannot be "
-            "undone, which makes tau wrong: log both as they are"
+            "undone, which makes tau wrong, and may make K and f_c wrong: log both as they are"
         )
     elif share > ASKED:
         reasons.append(
