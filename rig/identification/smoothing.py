@@ -55,8 +55,8 @@ class Smoothing(NamedTuple):
     order    so many low passes, one after the other; ``MEAN``; ``WAY``: the sign of the drive is late; ``RAMP``: the
              drive goes at one pace where the motor's stepped
     is_late  of a mean, whether it is of the rows up to its own; False: of those around it
-    left     share of it that may be missing, of a low pass that leaves more than noise: it is another shape; 1: it does
-             not explain the tests, though it takes most of what a plain motor leaves
+    left     share of it that may be missing, of a drive's low pass that leaves more than noise: it is another shape; 1:
+             it does not explain the tests, though it takes most of what a plain motor leaves
     """
 
     column: Column
@@ -173,7 +173,8 @@ def smoothing(tests: Sequence[TimeSeries], plain: Estimate) -> Smoothing | None:
     is_told = found[best] < most_rad and not (best.order == MEAN and best.size_s > NEAR * MOST_ROWS * period_s)
     cuts = NEARLY_ALL if plain.spoiled else CUTS
     shows = is_sure and beyond(found[best]) < cuts**2 * beyond(without)
-    is_other = best.order > 0 and found[best] > NOISY * noise_rad  # a low pass is undone to the last bit
+    # a low pass of a drive, which has no noise, is undone to the last bit; behind a velocity's noise nothing is known
+    is_other = best.order > 0 and best.column == "drive" and found[best] > NOISY * noise_rad
     share = COVERAGE * math.sqrt(beyond(found[best]) / beyond(without)) if shows and is_other else 0.0
     return best._replace(left=min(share, MOST_LEFT) if is_told else 1.0) if shows else None
 
