@@ -35,7 +35,7 @@ OF_LIMIT: Final = {"tau_s": 0.05, "K_rad_s_V": 0.05, "fc_V": 0.15}
 OF_STEP: Final = 0.6
 # Of a drive in steps: so few levels may be a relay's; from lowest to highest; places of levels, in steps; share of
 # changes by one step; levels of one that jumps, more; how the lengths of drives scatter, of their mean; digits of V
-FEWEST_LEVELS, MOST_STEPS, WHOLE, GOES_ON, JUMPS_TO, UNEVEN, DIGITS = 5, 128.0, 0.05, 0.8, 12, 0.25, 9
+FEWEST_LEVELS, MOST_STEPS, WHOLE, GOES_ON, JUMPS_TO, UNEVEN, DIGITS = 5, 66.0, 0.05, 0.8, 12, 0.25, 9
 LATE_S: Final = 1e-3  # by which the position may be older or newer than the middle of its step, at 95 %; assumption
 
 
@@ -103,7 +103,8 @@ def by_steps(answer: Answer, step_V: float, largest_V: float) -> Answer:
     """The answer with what a drive rounded to steps leaves unknown: friction by half a step if it is cut off."""
     fc_V, share = abs(known(answer.value("fc_V"))), step_V / largest_V
     reason = (
-        f"the drive is logged in steps of {step_V:.3g} V, and the motor did not get just these: log it as fine as it is"
+        f"the drive is logged in steps of {step_V:.3g} V; did the motor get finer ones? Then K and f_c are wrong: log "
+        "the drive as fine as it is"
     )
     shares = {"tau_s": share, "K_rad_s_V": share, "fc_V": OF_STEP * step_V / fc_V if fc_V > 0.0 else 0.0}
     return _widened(answer, shares if answer.u95 else {}, [reason])
