@@ -6,7 +6,8 @@ no record shows it. So do I and D gains that are not 0. So do goals that are wri
 than the log says: the fitted delay shows that something is late, and not what. Goals that jump late give full duty the
 wrong way meanwhile, which a fit takes for friction.
 
-A filter in a column that was found leaves something unknown, too: `by_filter`.
+A filter in a column that was found leaves something unknown, too: `by_filter`. So do steps of a drive that is not what
+the motor got: `by_steps`.
 """
 
 from __future__ import annotations
@@ -15,8 +16,11 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final
 
+import numpy as np
+
 from rig.identification.motor_law import GRADES, NOT_KNOWN
 from rig.identification.verdict import ASKED, in_percent
+from rig.run_folder.recording.series import TimeSeries
 from rig.run_folder.recording.servo_law import OwnLoop
 from rig.run_folder.results import Answer, GradedNumber, known
 
@@ -27,6 +31,11 @@ OF_FRICTION: Final = 3.0
 OF_FILTER: Final = 0.05
 # Of each number, where firmware limits the speed, by what the numbers of made logs were off
 OF_LIMIT: Final = {"tau_s": 0.05, "K_rad_s_V": 0.05, "fc_V": 0.15}
+# Of a step of the drive, that f_c may be off by, where drives are cut off: 0.6 at most in made logs
+OF_STEP: Final = 0.6
+# Of a drive in steps: so few levels may be a relay's; from lowest to highest; places of levels, in steps; share of
+# changes by one step; levels of one that jumps, more; how the lengths of drives scatter, of their mean; digits of V
+FEWEST_LEVELS, MOST_STEPS, WHOLE, GOES_ON, JUMPS_TO, UNEVEN, DIGITS = 5, 66.0, 0.05, 0.8, 12, 0.25, 9
 LATE_S: Final = 1e-3  # by which the position may be older or newer than the middle of its step, at 95 %; assumption
 
 
@@ -68,20 +77,55 @@ def by_own_loop(answer: Answer, loop: OwnLoop) -> Answer:
     )
 
 
-def by_filter(answer: Answer, lag_s: float) -> Answer:
-    """The answer with what a filter of this time constant in a column, found and undone, leaves unknown in tau.
+def by_filter(answer: Answer, lag_s: float, left: float = 0.0) -> Answer:
+    """The answer with what a filter of this time constant in a column leaves unknown in tau.
 
+    left   share of the time constant that may be missing, as the fit says; 1.0: it was not undone
     What is missing in the filter's time constant is too much in tau: a record shows their sum.
     """
     tau_s = abs(known(answer.value("tau_s")))
-    share = OF_FILTER * lag_s / tau_s if answer.u95 and tau_s > 0.0 else 0.0
+    share = max(OF_FILTER, left) * lag_s / tau_s if answer.u95 and tau_s > 0.0 else 0.0
     reasons = []
-    if share > ASKED:
+    if left == 1.0:
+        reasons.append(
+            f"position or drive seem to be smoothed, and so late by {1e3 * lag_s:.2g} ms, in a way that cannot be "
+            "undone, which makes tau wrong, and may make K and f_c wrong: log both as they are"
+        )
+    elif share > ASKED:
         reasons.append(
             f"a filter of {1e3 * lag_s:.3g} ms in the log makes tau up to {in_percent(share)} wrong: log position and "
             "drive, or the velocity, as they are"
         )
     return _widened(answer, {"tau_s": share}, reasons)
+
+
+def by_steps(answer: Answer, step_V: float, largest_V: float) -> Answer:
+    """The answer with what a drive rounded to steps leaves unknown: friction by half a step if it is cut off."""
+    fc_V, share = abs(known(answer.value("fc_V"))), step_V / largest_V
+    reason = (
+        f"the drive is logged in steps of {step_V:.3g} V; did the motor get finer ones? Then K and f_c are wrong: log "
+        "the drive as fine as it is"
+    )
+    shares = {"tau_s": share, "K_rad_s_V": share, "fc_V": OF_STEP * step_V / fc_V if fc_V > 0.0 else 0.0}
+    return _widened(answer, shares if answer.u95 else {}, [reason])
+
+
+def drive_step_V(test: TimeSeries) -> float:
+    """The step of a drive that varies freely, and is logged as one of few levels that are evenly apart, V; 0.0 else.
+
+    Drives that jump between levels, or go through them at one pace, are levels that the motor got: a relay, a stair.
+    """
+    begins = np.flatnonzero(np.diff(test.u_V, prepend=np.nan))
+    drives_V, lasts = test.u_V[begins], np.diff(np.append(begins, len(test)))
+    levels = np.unique(np.round(drives_V, DIGITS))
+    if levels.size < FEWEST_LEVELS:
+        return 0.0
+    step_V = float(np.diff(levels).min())
+    places = (levels - levels[0]) / step_V
+    is_even = places[-1] < MOST_STEPS and np.abs(places - np.round(places)).max() < WHOLE
+    goes_on = float(np.mean(np.abs(np.diff(drives_V)) < 1.5 * step_V)) > GOES_ON or levels.size > JUMPS_TO
+    is_free = float(np.std(lasts)) > UNEVEN * float(np.mean(lasts))
+    return step_V if is_even and goes_on and is_free else 0.0
 
 
 def by_speed_limit(answer: Answer) -> Answer:

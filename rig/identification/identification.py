@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import import_module
@@ -16,7 +16,7 @@ from rig.identification.agreement import are_one_motor, disagreement, estimates_
 from rig.identification.breakaway import StaticFriction, breakaway
 from rig.identification.clipped_drive import clipped, limit_of
 from rig.identification.departures.laws import LEVEL_EACH
-from rig.identification.drive_scale import by_filter, by_own_loop, by_speed_limit
+from rig.identification.drive_scale import OF_FILTER, by_filter, by_own_loop, by_speed_limit, by_steps, drive_step_V
 from rig.identification.estimate import VERDICTS, Estimate
 from rig.identification.estimator import Estimator
 from rig.identification.friction_map import FrictionMap, friction_map
@@ -32,7 +32,7 @@ from rig.identification.preprocessing import from_recording
 from rig.identification.records import left_out, require_known
 from rig.identification.sampled_data_verdict import is_early, judge_with_laws, late_s, slipped_rms_rad
 from rig.identification.side_by_side import on_all_cores
-from rig.identification.smoothing import smoothing
+from rig.identification.smoothing import smoothings
 from rig.identification.stroke_delay import strokes_delay
 from rig.identification.time_stamps import drives_stand_late, stamps_off_by, with_stamps_of
 from rig.identification.verdict import by_prediction, largest_drive_V
@@ -57,6 +57,7 @@ from rig.run_folder.results import (
 METHODS = tuple(entry.name for entry in ESTIMATORS)
 AS_GOOD = 1.05  # ratio of residuals within which two explanations are as good
 SHOWS = 1.01  # ratio of residuals beyond which an explanation shows in the tests
+BEHIND_STEPS = 1.5  # residual over noise from which on steps of a drive may hide the true one
 ROWS_EARLY = 3.0  # of a drive that stands rows too late
 MOST = 0.9  # share of what laws explain that another explanation as good explains, too
 
@@ -77,8 +78,7 @@ class Identification:
     notes       rows used, how the gains were found, what was left out and why
     rehearsal   whether a recording is a rehearsal: its motor was made up
     own_loop    of a servo that made a recording; None: volts are volts
-    filter_s    by how much a column that was smoothed was late, s; it was undone; 0: none was
-    is_slowed   whether firmware limited the speed, and the drive there was fitted
+    unsure      what each oddity of plain files leaves unknown in the answer
     """
 
     estimates: dict[str, Estimate] = field(default_factory=dict)
@@ -93,8 +93,7 @@ class Identification:
     notes: list[str] = field(default_factory=list)
     rehearsal: bool = False
     own_loop: OwnLoop | None = None
-    filter_s: float = 0.0
-    is_slowed: bool = False
+    unsure: list[Callable[[Answer], Answer]] = field(default_factory=list, repr=False)
 
     def as_result(self) -> IdentificationResult:
         """As `rig identify --json` prints it. result.json has the same names."""
@@ -117,11 +116,11 @@ class Identification:
         law, largest_V = self.motor_law, largest_drive_V(self.tests) if self.tests else 0.0
         found = {method: estimate.as_result() for method, estimate in self.estimates.items()}
         answer = answer_of(found) if law is None else law.answer(found, self.leading, largest_V)
-        if answer is not None and self.filter_s > 0.0:
-            answer = by_filter(answer, self.filter_s)
-        if answer is not None and self.is_slowed:
-            answer = by_speed_limit(answer)
-        return answer if answer is None or self.own_loop is None else by_own_loop(answer, self.own_loop)
+        if answer is None:
+            return None
+        for widened in self.unsure:
+            answer = widened(answer)
+        return answer if self.own_loop is None else by_own_loop(answer, self.own_loop)
 
     @property
     def sampling(self) -> SamplingResult | None:
@@ -257,11 +256,12 @@ def _identified(asked: _Asked, data: Measurements) -> Identification:
             method: replace(e.judged("doubtful", *stamps, *objections), reasons=(*stamps, *e.reasons, *objections))
             for method, e in found.estimates.items()
         }
-    found.filter_s, found.is_slowed = data.filter_s, data.is_slowed
     static = _add_breakaway(recordings, without, found)
     if asked.choose_law:
         _add_motor_law(data, found, each, static, any(map(_was_known, recordings)))
     _add_friction_map(recordings, without, found)
+    is_own_loop = any(recording.own_loop for recording in recordings)
+    found.unsure = [*data.unsure, *([] if is_own_loop else _by_steps(data.tests, found.leading))]
     return found
 
 
@@ -317,16 +317,29 @@ def _takes_change(data: Measurements, estimate: Estimate | None) -> bool:
         return False
     try:
         limit = limit_of(data.tests, estimate)
-        smoothed = smoothing(data.tests, estimate) if math.isinf(limit.drive_V) else None
+        smoothed = smoothings(data.tests, estimate) if math.isinf(limit.drive_V) else {}
     except IdentifyError:
         return False  # too short for pieces
     if math.isfinite(limit.drive_V):
         data.take(partial(clipped, limit=limit), limit.in_words())
-        data.is_slowed = limit.from_rad_s > 0.0
-    elif smoothed is not None:
-        data.take(smoothed.undone, smoothed.in_words(max(test.period_s for test in data.tests)))
-        data.filter_s = smoothed.late_s
-    return math.isfinite(limit.drive_V) or smoothed is not None
+        data.unsure += [by_speed_limit] if limit.from_rad_s > 0.0 else []
+    told = {name: one for name, one in smoothed.items() if one.left < 1.0}
+    if told:
+        period_s, names = max(test.period_s for test in data.tests), {test.name for test in data.tests}
+        words = [("" if told.keys() == names else f"{name}: ") + one.in_words(period_s) for name, one in told.items()]
+        data.take(lambda test: told[test.name].undone(test) if test.name in told else test, *dict.fromkeys(words))
+    worst = max(smoothed.values(), key=lambda one: max(OF_FILTER, one.left) * one.late_s, default=None)
+    if worst is not None and worst.late_s > 0.0:
+        data.unsure.append(partial(by_filter, lag_s=worst.late_s, left=worst.left))
+    return math.isfinite(limit.drive_V) or bool(told)
+
+
+def _by_steps(tests: Sequence[TimeSeries], found: Estimate | None) -> list[Callable[[Answer], Answer]]:
+    """What steps of the drive leave unknown, where the motor leaves more than noise: else they are what it got."""
+    step_V = max((drive_step_V(test) for test in tests if test.stage is None), default=0.0)
+    if found is None or step_V == 0.0 or found.rms_rad < BEHIND_STEPS * noise_of_all_rad(tests):
+        return []
+    return [partial(by_steps, step_V=step_V, largest_V=largest_drive_V(tests))]
 
 
 def _stamps(data: Measurements, estimate: Estimate | None) -> list[str]:

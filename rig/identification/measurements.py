@@ -19,6 +19,7 @@ from rig.run_folder.recording.errors import IdentifyError
 from rig.run_folder.recording.recording import Recording
 from rig.run_folder.recording.series import FEWEST_ROWS, TimeSeries
 from rig.run_folder.recording.stage import Stage, StageKind, kind_of
+from rig.run_folder.results import Answer
 
 
 @dataclass
@@ -40,8 +41,7 @@ class Measurements:
     changes     one sentence for each change of what plain files say before the fit; also in ``notes``
     notes       what was left out or corrected, how gains and cycles were found
     has_searches  whether gain searches count as tests beside others
-    filter_s    by how much a column that was smoothed was late, s; it was undone; 0: none was
-    is_slowed   whether firmware limited the speed, and the drive there was fitted
+    unsure      what each oddity of plain files leaves unknown in the answer
     """
 
     tests: list[TimeSeries] = field(default_factory=list)
@@ -58,8 +58,7 @@ class Measurements:
     changes: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     has_searches: bool = False
-    filter_s: float = 0.0
-    is_slowed: bool = False
+    unsure: list[Callable[[Answer], Answer]] = field(default_factory=list)
 
     @property
     def settled(self) -> list[Cycle]:
@@ -92,12 +91,12 @@ class Measurements:
         self.further = [(late[id(series)], number) for series, number in self.further]
         self.sources = [(name, [late.get(id(series), series) for series in each]) for name, each in self.sources]
 
-    def take(self, changed: Callable[[TimeSeries], TimeSeries], note: str) -> None:
-        """From now on the tests are changed by this; ``note``: what was changed."""
+    def take(self, changed: Callable[[TimeSeries], TimeSeries], *notes: str) -> None:
+        """From now on the tests are changed by this; ``notes``: what was changed."""
         moved = {id(test): changed(test) for test in self.tests}
         self.tests = [moved[id(test)] for test in self.tests]
         self.sources = [(name, [moved.get(id(series), series) for series in each]) for name, each in self.sources]
-        self.tell(note)
+        self.tell(*notes)
 
     def tell(self, *changes: str) -> None:
         """Note what was changed before the fit."""

@@ -68,6 +68,7 @@ ONE_DRIVE, OFTEN = 0.02, 0.02  # of the largest drive: within it two are one siz
 ALIKE_DRIVES = 0.1  # of the largest drive: within it two tell little of a bend; and noise of a drive that was measured
 BY_CHANCE = 3.0  # standard errors of a stroke's mean
 STAIRS, RAMPS = 5, 1.0 / 3.0  # drives of a stroke, at least, and of its time, at most, where it is ramped at its ends
+FAR_BENT = 0.35  # of the largest drive: a sag of more is another bend, such as saturation; benches have 30 % at most
 BENDS = "a bend of the drive"
 ORDER = "a dead band before or behind the sag"
 BY_SIZE = ("sag", "source")
@@ -169,7 +170,8 @@ def only_like(
 def any_bend(fit: Fit, bare: Mapping[str, Fit], *, goes_along: bool = False) -> tuple[Entry, ...]:
     """The line for a law that bends the drive, where the tests do not say that this is the bend.
 
-    They hold too few sizes of it, or they leave more than noise. Else for the order of it and a dead band.
+    They hold too few sizes of it, or leave more than noise, or it takes more than any bench's. Else for the order of it
+    and a dead band.
 
     bare         for each law of ``fit`` the fit without it
     goes_along   whether the drive always pushes the way that the shaft turns, and never rests: then f_c is told by the
@@ -178,15 +180,17 @@ def any_bend(fit: Fit, bare: Mapping[str, Fit], *, goes_along: bool = False) -> 
     bent = [name for name in BY_SIZE if name in bare]
     numbers = 1 + goes_along + sum(BENDS_BY.get(name, 0) for name in bare)
     is_told = drive_sizes(fit.problem.cut) > numbers and fit.rms_rad <= LEAVES * fit.problem.sigma_rad
+    far = abs(fit.motor.sag_per_V) * float(np.abs(_drives_of(fit.problem.cut)[0]).max()) > FAR_BENT
     if not bent:
         return ()
-    if is_told:
+    if is_told and not far:
         share = 2.0 * abs(fit.motor.sag_per_V) * fit.motor.dead_band_V
         of_both = Entry(ORDER, 0.0, share * fit.motor.K_rad_s_V, share * fit.motor.fc_V, laws=("sag", "dead_band"))
         return (of_both,) if share else ()
     here = np.array([getattr(fit.motor, name) for name in OF])
     moves = [np.abs([getattr(bare[name].motor, one) for one in OF] - here) for name in bent]
     tau_s, K, fc_V = np.minimum(np.max(moves, axis=0), np.abs(here)).tolist()
+    fc_V = max(fc_V, K / here[1] * here[2]) if far else fc_V  # the drive of friction bends as small drives do
     return (Entry(BENDS, tau_s, K, fc_V, laws=tuple(bent)),)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from rig.core.arrays import Array
 from rig.core.motor_numbers import NUMBERS
 from rig.identification.chance import student_975
-from rig.identification.departures import DEPARTURES, OUTSIDE
+from rig.identification.departures import BY_NAME, DEPARTURES
 from rig.identification.departures.blocks import Blocks, HeldOut, held_out
 from rig.identification.departures.budget import COVERAGE, OTHER, Budget, Entry, budget
 from rig.identification.departures.choice import AT_NOISE, Choice, Chooser, as_likely, levels
@@ -169,8 +169,7 @@ class MotorLaw:
         """What the tests show, as sentences."""
         lines = [*self.remarks, *(f"law: {law.in_words()}" for law in self.found)]
         for group in self.not_told_apart:
-            told_by = next(d.told_by for d in DEPARTURES if d.name == group[0])
-            lines.append(f"law: {' and '.join(group)} are not told apart; record {told_by}")
+            lines.append(f"law: {' and '.join(group)} are not told apart; record {BY_NAME[group[0]].told_by}")
         return lines
 
     def judged(self, largest_V: float, estimate: Estimate) -> MotorLaw:
@@ -228,7 +227,7 @@ class MotorLaw:
         own = (entry for entry in self.budget.entries if not entry.absolute)
         largest = max(own, key=lambda entry: float(getattr(entry, name)))
         known = known_to(name, shares[name])
-        laws = [law for law in (*DEPARTURES, *OUTSIDE) if law.name in largest.laws]
+        laws = [law for key, law in BY_NAME.items() if key in largest.laws]
         cures = ", and ".join(dict.fromkeys(law.told_by for law in laws))
         if unshown := [NOT_SHOWN[entry.source] for entry in self.budget.entries if entry.source in NOT_SHOWN]:
             yield f"{known}: {'; '.join(unshown)}"
@@ -250,7 +249,7 @@ class MotorLaw:
         probability, hidden = likely[name]
         if probability <= RISK:
             return
-        laws = [law for law in (*DEPARTURES, *OUTSIDE) if law.name in hidden]
+        laws = [law for key, law in BY_NAME.items() if key in hidden]
         risk, allowed = beside(100.0 * probability, 100.0 * RISK), f"{100.0 * RISK:.2g}"
         yield (
             f"{TITLES[name]} is more than {100.0 * PROMISE:.2g} % off with a probability of {risk} %; "

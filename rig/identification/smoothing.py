@@ -42,6 +42,7 @@ MEAN, WAY, RAMP = 0, -1, -2  # orders that are no low pass
 OF_STEP, SMALL = 0.5, 0.05  # way from row to row, of a step of the sensor; a drive, of the largest one
 AT_ONCE = 0.2  # of a drive's way, in steps between rows that are alike: a smoothed drive has none
 EVENLY, OFTEN = 0.01, 0.2  # how steps of a ramp differ; share of the steps of a drive that are those of its ramp
+COVERAGE, MOST_LEFT = 2.0, 0.99  # of what such a low pass leaves, over what is left without it
 ROWS, MOST_ROWS = (4.0, 8.0, 16.0), 24.0  # of means that are tried first; of the longest one
 WAY_ROWS = range(1, 13)
 
@@ -54,12 +55,15 @@ class Smoothing(NamedTuple):
     order    so many low passes, one after the other; ``MEAN``; ``WAY``: the sign of the drive is late; ``RAMP``: the
              drive goes at one pace where the motor's stepped
     is_late  of a mean, whether it is of the rows up to its own; False: of those around it
+    left     share of it that may be missing, of a drive's low pass that leaves more than noise: it is another shape; 1:
+             it does not explain the tests, though it takes most of what a plain motor leaves
     """
 
     column: Column
     size_s: float
     order: int
     is_late: bool = False
+    left: float = 0.0
 
     @property
     def late_s(self) -> float:
@@ -112,6 +116,17 @@ class Smoothing(NamedTuple):
         return f"the {self.column} is low-passed by {by}, as {SMOOTHED[self.column]} is: undone before the fit"
 
 
+def smoothings(tests: Sequence[TimeSeries], plain: Estimate) -> dict[str, Smoothing]:
+    """How a column of each file was smoothed, by its name: of all files alike, else of each by itself."""
+    of_all, names = smoothing(tests, plain), list(dict.fromkeys(test.name for test in tests))
+    if len(names) > 1 and (of_all is None or of_all.left == 1.0):
+        each = {name: smoothing([test for test in tests if test.name == name], plain) for name in names}
+        told = {name: one for name, one in each.items() if one is not None and one.left < 1.0}
+        if told:
+            return told
+    return {} if of_all is None else dict.fromkeys(names, of_all)
+
+
 def smoothing(tests: Sequence[TimeSeries], plain: Estimate) -> Smoothing | None:
     """How a column of the tests was smoothed; None where that does not show."""
     noise_rad = noise_of_all_rad(tests)
@@ -157,7 +172,11 @@ def smoothing(tests: Sequence[TimeSeries], plain: Estimate) -> Smoothing | None:
     most_rad = max(NOISY * noise_rad, EXPLAINS * max(float(np.std(test.y_rad)) for test in tests))
     is_told = found[best] < most_rad and not (best.order == MEAN and best.size_s > NEAR * MOST_ROWS * period_s)
     cuts = NEARLY_ALL if plain.spoiled else CUTS
-    return best if is_sure and is_told and beyond(found[best]) < cuts**2 * beyond(without) else None
+    shows = is_sure and beyond(found[best]) < cuts**2 * beyond(without)
+    # a low pass of a drive, which has no noise, is undone to the last bit; behind a velocity's noise nothing is known
+    is_other = best.order > 0 and best.column == "drive" and found[best] > NOISY * noise_rad
+    share = COVERAGE * math.sqrt(beyond(found[best]) / beyond(without)) if shows and is_other else 0.0
+    return best._replace(left=min(share, MOST_LEFT) if is_told else 1.0) if shows else None
 
 
 def _apart(period_s: float) -> float:

@@ -22,7 +22,7 @@ from rig.identification.departures.laws import orders
 from rig.identification.departures.nuisances import pulls_apart
 from rig.identification.departures.outside import by_current, by_friction_waves, outside
 from rig.identification.departures.pieces import Coupling, Cut
-from rig.identification.drive_scale import by_filter
+from rig.identification.drive_scale import by_filter, drive_step_V
 from rig.identification.estimate import Estimate
 from rig.identification.identification import Identification
 from rig.identification.in_pieces import fit_in_pieces
@@ -214,6 +214,40 @@ def test_a_column_that_was_smoothed_or_came_late_is_named_and_undone(how: str, s
     found = found_in((t_s, u_V, y_rad))
     assert any(said in change for change in found.changes), found.changes
     assert found.answer is not None and right(found.answer, MOTOR, 0.025, "tau_s", "K_rad_s_V", "fc_V")
+
+
+def test_of_two_files_the_one_that_was_smoothed_is_undone() -> None:
+    """Together they show no smoothing, and tau was 48 % off beside 14 %."""
+    sharp, (t_s, u_V, y_rad) = recorded(MOTOR, (3.0, 5.0, 7.0), rows=800), recorded(MOTOR, (3.0, 5.0, 7.0), seed=2)
+    keep = math.exp(-PERIOD_S / 0.03)
+    for k in range(1, t_s.size):
+        y_rad[k] = keep * y_rad[k - 1] + (1.0 - keep) * y_rad[k]
+    found = found_in(sharp, (t_s, u_V, y_rad))
+    assert len(found.changes) == 1 and ": the reading is low-passed by 30" in found.changes[0], found.changes
+    assert found.answer is not None and right(found.answer, MOTOR, 0.025, "tau_s", "K_rad_s_V", "fc_V")
+
+
+def test_a_smoothing_that_cannot_be_undone_is_named_and_tau_is_not_known() -> None:
+    """Tau was half of what it is beside 12 %."""
+    t_s, u_V, y_rad = recorded(MOTOR._replace(tau_s=0.1), (3.0, 5.0, 7.0), rows=1200)
+    mean_V = np.convolve(np.pad(u_V, (25, 0), mode="edge"), np.full(26, 1.0 / 26.0), "valid")
+    answer = answered((t_s, mean_V, y_rad))
+    assert any("in a way that cannot be undone" in reason for reason in answer.reasons), answer.reasons
+    assert answer.grade is not None and answer.grade["tau_s"].value is None
+
+
+def test_a_drive_that_is_logged_in_coarse_steps_is_named_and_is_in_the_intervals() -> None:
+    """f_c was 33 % off beside 13 %. A relay's levels, and those of a stair, are no steps."""
+    t_s, u_V, _ = recorded(MOTOR, (0.0, 2.0, 4.0, 6.0), rows=1200)
+    relay, stair = np.where(t_s % 0.9 < 0.4, 4.0, -2.0), np.round(2.0 * t_s) % 9.0
+    assert [drive_step_V(TimeSeries(t_s, t_s, None, one)) for one in (u_V, relay, stair)] == [0.0, 0.0, 0.0]
+    u_V = 7.0 * np.sin(2.0 * math.pi * (0.3 + 0.1 * t_s) * t_s)
+    y_rad = response(MOTOR, Frame(duration_s=float(t_s[-1])), (t_s, u_V), t_s, Pieces.one())
+    answer = answered((t_s, np.trunc(u_V), STEP_RAD * np.round(y_rad / STEP_RAD)))
+    assert any("the drive is logged in steps of 1 V" in reason for reason in answer.reasons), answer.reasons
+    assert answer.u95 is not None and all(
+        abs(getattr(answer, name) - getattr(MOTOR, name)) < answer.u95[name] for name in ("tau_s", "K_rad_s_V", "fc_V")
+    )
 
 
 def test_a_drive_that_is_another_in_each_of_many_rows_is_not_smoothed() -> None:
@@ -504,6 +538,17 @@ def test_few_sizes_of_drive_do_not_tell_a_sag_from_a_supply_that_gives_less_nor_
     for line in found:
         assert line.K_rad_s_V == pytest.approx(0.4 * motor.K_rad_s_V) and line.fc_V == pytest.approx(motor.fc_V)
         assert line.tau_s == 0.0
+
+
+def test_a_sag_that_takes_more_than_a_benchs_may_be_any_bend() -> None:
+    """Of a drive that saturates K was 13 % off beside 4 %, and f_c 6 % beside 1.4 %."""
+    _, problem, motor = _whole_fit(recorded(MOTOR, (3.0, 5.0, 6.0, 7.0), rows=1200))
+    fit = start(problem, motor._replace(sag_per_V=0.4 / 7.0))
+    fit = replace(fit, residual_rad=np.full(fit.residual_rad.size, problem.sigma_rad))
+    bare = start(problem, motor._replace(K_rad_s_V=0.8 * motor.K_rad_s_V))
+    [line] = any_bend(fit, {"sag": bare})
+    assert line.source == BENDS and line.K_rad_s_V == pytest.approx(0.2 * motor.K_rad_s_V)
+    assert line.fc_V == pytest.approx(0.2 * motor.fc_V)
 
 
 def test_no_record_tells_a_dead_band_before_a_sag_from_one_behind_it() -> None:

@@ -2,5 +2,5 @@
 
 from __future__ import annotations
 
+from rig.identification.departures.laws import BY_NAME as BY_NAME
 from rig.identification.departures.laws import DEPARTURES as DEPARTURES
-from rig.identification.departures.laws import OUTSIDE as OUTSIDE

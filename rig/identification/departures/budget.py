@@ -1,10 +1,11 @@
 """The uncertainty budget of tau, K and friction (GUM; docs/theory.md 12.8).
 
 Type A is the scatter of the fit. To it comes every law that the record neither shows nor excludes. Such a law is kept
-as a nuisance: a bench has it with a probability of ``PRESENT``, in a size up to ``Departure.range_of``. The record
-changes both, by Bayes' rule. What the law then moves tau, K and friction by, weighted by how probable it still is, is
-its line. Two or three laws that hide each other have a line together: each alone may be excluded, while all are not.
-Where another law would explain the record nearly as well as one that was found, that has a line as well.
+as a nuisance: a bench has it with a probability of ``PRESENT``, or of ``UNTOLD``, in a size up to
+``Departure.range_of``. The record changes both, by Bayes' rule. What the law then moves tau, K and friction by,
+weighted by how probable it still is, is its line. Two or three laws that hide each other have a line together: each
+alone may be excluded, while all are not. Where another law would explain the record nearly as well as one that was
+found, that has a line as well.
 
 No record shows how large the bench's volt, radian and second are. What their errors move is in the absolute lines.
 """
@@ -29,8 +30,8 @@ from rig.identification.stated_errors import ScaleErrors
 from rig.model.real_motor import RealMotor
 
 COVERAGE = 2.0  # of an expanded uncertainty: 95 %
-PRESENT = 0.1  # probability of a law before the record is looked at
-BEFORE = PRESENT / (1.0 - PRESENT)  # its odds
+PRESENT = 0.05  # probability of a law before the record is looked at; at 0.1 more than 98 % of u95 held the truth
+UNTOLD = 0.1  # the same where the fit leaves more than white noise: something is there that no law tells
 MOST_TOGETHER = 3  # laws that are looked at together,
 MOST_SETS = 2000  # but where they have more starts than that together
 BY_ROUNDING = 1e-3  # of 1, which each nuisance has beforehand
@@ -94,7 +95,8 @@ def budget(
     scatter     (3,) variances of tau, K and friction by the scatter of the fit
     of_model    lines for errors of the model itself
     """
-    hidden = Hidden.of(Shifts.of(nuisances), nuisances.each, by_size)
+    present = PRESENT if nuisances.fit.problem.noise.white else UNTOLD
+    hidden = Hidden.of(Shifts.of(nuisances), nuisances.each, by_size, present)
     motor = nuisances.fit.motor
     entries = [
         Entry(TYPE_A, *(COVERAGE * np.sqrt(scatter)).tolist()),
@@ -219,19 +221,28 @@ class Hidden:
     variance: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     @classmethod
-    def of(cls, shifts: Shifts, nuisances: Sequence[Nuisance], by_size: Sequence[Profile] = ()) -> Hidden:
-        """All sets of one, two and three of the laws. A law that is known size by size is that where it is alone."""
+    def of(
+        cls,
+        shifts: Shifts,
+        nuisances: Sequence[Nuisance],
+        by_size: Sequence[Profile] = (),
+        present: float = PRESENT,
+    ) -> Hidden:
+        """All sets of one, two and three of the laws. A law that is known size by size is that where it is alone.
+
+        present   probability of each law before the record is looked at
+        """
         weights: list[Array] = []
         means: list[Array] = []
         variances: list[Array] = []
         names: list[tuple[str, ...]] = []
-        known = {profile.law.name for profile in by_size}
+        known, before = {profile.law.name for profile in by_size}, present / (1.0 - present)
         for profile in by_size:
-            weights.append(profile.odds if profile.found else BEFORE * profile.odds)
+            weights.append(profile.odds if profile.found else before * profile.odds)
             means.append(profile.moves)
             variances.append(profile.spread**2)
             names += [(profile.law.name,)] * profile.odds.size
-        for at, prior, laws in _sets(nuisances, known):
+        for at, prior, laws in _sets(nuisances, known, before):
             odds, mean, variance = shifts.by(at)
             weights.append(odds * prior)
             means.append(mean)
@@ -279,11 +290,11 @@ def instead_of(instead: Sequence[InPlace]) -> Iterator[Entry]:
 
 
 def _sets(
-    nuisances: Sequence[Nuisance], known: Collection[str]
+    nuisances: Sequence[Nuisance], known: Collection[str], before: float
 ) -> Iterator[tuple[NDArray[np.int64], Array, list[tuple[str, ...]]]]:
     """All sets of one, two and three laws, those with as many columns together; none of one law that is ``known``.
 
-    Each set's columns (m, d), its odds beforehand (m,), and its laws.
+    Each set's columns (m, d), its odds beforehand (m,), ``before`` for each law, and its laws.
     """
     starts: dict[tuple[str, int], list[Nuisance]] = defaultdict(list)
     for one in nuisances:
@@ -297,7 +308,7 @@ def _sets(
                 continue
             which = np.indices([len(one) for one in each]).reshape(count, many)
             columns = [np.array([[*one.columns] for one in of])[k] for of, k in zip(each, which, strict=True)]
-            odds = math.prod(BEFORE / of[0].starts for of in each)
+            odds = math.prod(before / of[0].starts for of in each)
             alike[sum(size for _, size in keys)].append((np.hstack(columns), np.full(many, odds), [laws] * many))
     for every in alike.values():
         at, prior, laws_of = zip(*every, strict=True)

@@ -235,3 +235,4 @@ FRICTION_WAVE: Final = Departure(
     numbers=("friction_wave_sin_V", "friction_wave_cos_V"), unit="V", over_position=True,
 )  # fmt: skip
 OUTSIDE: list[Departure] = [SAG_BY_CURRENT, BEND, SOFT_COUPLING, FRICTION_WAVE]
+BY_NAME: dict[str, Departure] = {law.name: law for law in (*DEPARTURES, *OUTSIDE, level_each(2))}  # all of them

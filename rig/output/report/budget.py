@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from rig.core.calibration import CALIBRATION_ERROR_RAD, SUPPLY_ERROR_PERCENT
-from rig.identification.departures import DEPARTURES, OUTSIDE
+from rig.identification.departures import BY_NAME
 from rig.output.report.source import ReportedRun
 from rig.run_folder.results.budget_lines import BudgetLine, budget_lines, that_matter
 
@@ -16,7 +16,7 @@ IN_WORDS = {
     "supply": "motor supply, as stated",
     "calibration": "calibrated angles, as stated",
     "clock": "clock",
-    **{law.name: law.title for law in (*DEPARTURES, *OUTSIDE)},
+    **{name: law.title for name, law in BY_NAME.items()},
 }
 ASSUMED = {  # of a recording without a config
     "supply": f"motor supply: {SUPPLY_ERROR_PERCENT:g} % assumed",
