@@ -25,6 +25,7 @@ _LISTENS_AGAIN_S: Final = 0.25  # where answers were disturbed
 _QUESTIONS: Final = 4  # that tell whether one servo alone answers
 _PINGS: Final = 2  # of them besides, for one that answers nothing else
 _ANSWERS_S: Final = 0.03  # within which a second answer comes, also behind a slow adapter
+_CALLS: Final = 2  # of an id before nobody has it: one packet may be lost
 _TORQUE_BY_GOAL, _SLAVE = 0x08, 0x02  # bits of Dynamixel's drive mode
 _TORQUE_AT_START, _RAM_AT_START = 0x01, 0x02  # bits of its startup configuration
 _ANSWERS_ALL: Final = {"dynamixel": 2, "feetech": 1}  # level at which a servo answers every instruction
@@ -430,9 +431,14 @@ def _check_others(link: ServoLink, setup: ServoSetup) -> tuple[str, ...]:
 
     One that answers pings alone does not tell it, and obeys in silence.
     """
-    told = {id: link.is_there(id) for id in range(LAST_ID + 1) if id != setup.id}
-    others = {id: int.from_bytes(said[:2], "little") for id, said in told.items() if said is not None}
     shadow = link.model.roles.get("shadow_id")
+    silent = [id for id in range(LAST_ID + 1) if id != setup.id]
+    others: dict[int, int] = {}  # their model's numbers
+    for _ in range(_CALLS if shadow is not None else 1):
+        told = {id: link.is_there(id) for id in silent}
+        others |= {id: int.from_bytes(said[:2], "little") for id, said in told.items() if said is not None}
+        silent = [id for id, said in told.items() if said is None]
+    others = dict(sorted(others.items()))
     for id in others:
         if shadow is not None and (second := link.value_of(id, shadow)) in (None, setup.id):
             tells = "does not tell its second id" if second is None else f"has {second} as its second id"
