@@ -61,7 +61,7 @@ def write_pages(folder: Path, gallery: Path) -> None:
 
 def faults() -> str:
     """A table of all faults: code, cause, cure."""
-    rows = [(f"`{code}`", entry.cause, entry.cure) for code, entry in FAULTS.items()]
+    rows = [(f"`{code}`", entry.cause, entry.cure_with()) for code, entry in FAULTS.items()]
     table = markdown(("code", "what happened", "what to do"), rows)
     return f"# Faults\n\nFor everybody whose run has ended early: what ends a run, why, and what to do.\n\n{table}\n"
 

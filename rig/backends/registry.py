@@ -112,6 +112,9 @@ def connect(d: DeviceSetup) -> Iterator[Bench]:
                 raise Fault("CONFIG_MISMATCH", f"loop.pace is {d.pace:g}, but {_REAL}")
             # only a device that says that it is emulated has a truth to compare with
             yield Bench(driver, clock, info, truth if info.emulated else None, shaft if info.emulated else None)
+        except Fault as fault:
+            fault.fit(d.daq.driver)
+            raise
         finally:
             try:
                 driver.safe_stop()

@@ -6,15 +6,12 @@ import shlex
 import signal
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
-from typing import NoReturn
 
 import click
 
 from rig.cli.driving import let_ask
-from rig.cli.shared import CONFIG, EXIT_FAILED, FILE, JSON, OUT, PACE, asks_json, fail, say_json
+from rig.cli.shared import CONFIG, EXIT_FAILED, FILE, JSON, OUT, PACE, asks_json, ended_in_words, fail, say_json
 from rig.config.problems import key_of
 from rig.core.signals import plain
 from rig.run_folder.live.running import told
@@ -54,8 +51,8 @@ def calibrate(config_path: Path, steps: tuple[str, ...], answers: Path | None, o
     terminal = _Terminal(
         config_path, _lines(answers), echoes=answers is not None or not sys.stdin.isatty(), err=asks_json()
     )
-    let_ask()
-    with told(out, "calibrate") as flag, _ended_in_words(config_path):
+    let_ask(opened.draft.original.device, drives=not {"strokes", "dead-band"}.isdisjoint(steps or known))
+    with told(out, "calibrate") as flag, ended_in_words("nothing is written", f"{config_path} is as it was"):
         terminal.say(Say("At any question `skip` leaves the step out, `quit` ends without writing."))
         done = go_through(opened, steps or tuple(known), out, terminal, flag)
     if done.backup is not None:
@@ -72,21 +69,6 @@ def calibrate(config_path: Path, steps: tuple[str, ...], answers: Path | None, o
             }
         )
     sys.exit(EXIT_FAILED if done.problems else 0)
-
-
-@contextmanager
-def _ended_in_words(file: Path) -> Iterator[None]:
-    """Within the block a SIGTERM ends it as `quit` does, and the device is closed; what drives takes it by itself."""
-    from rig.running.calibrate.session import NotWrittenError
-
-    def ended(number: int, frame: FrameType | None) -> NoReturn:
-        raise NotWrittenError("ended by SIGTERM; nothing is written", f"{file} is as it was")
-
-    before = signal.signal(signal.SIGTERM, ended)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _lines(answers: Path | None) -> Iterator[str]:

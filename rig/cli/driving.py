@@ -21,6 +21,7 @@ from rig.core.faults import Fault
 from rig.running import preflight
 
 if TYPE_CHECKING:  # scipy comes with it
+    from rig.config.schema import DeviceSetup
     from rig.running.session import OnStart, Outcome
 
 _HAND_S: Final = 60.0  # longest wait for what a hand does
@@ -43,7 +44,7 @@ def checked(path: Path, pace: float | None = None, *, drives: bool = True, as_ch
 def checked_bench(path: Path, pace: float | None = None, as_checked: str | None = None) -> Experiment:
     """``checked`` for a command that drives a motor. No such port or chip: exits with status 1, before slow imports.
 
-    Raises Fault SERVO_SWITCH_UNTRIED where a hand is needed and nobody can be asked.
+    Raises Fault as ``let_ask``.
 
     pace        seconds of virtual time in a second, as of ``checked``
     as_checked  digest of the file as somebody has confirmed it; another one exits with status 2; None: any
@@ -55,17 +56,19 @@ def checked_bench(path: Path, pace: float | None = None, as_checked: str | None 
     require_device_file(experiment.daq.port)
     require_emulator(experiment.daq.port)
     say_chip_starts(experiment.daq.port)
-    let_ask()
-    device = experiment.device
-    if person.asks is None and (hand := backend_of(device).hand(device)):
-        raise Fault("SERVO_SWITCH_UNTRIED", hand)  # now: once it is open its registers are changed
+    let_ask(experiment.device)
     return experiment
 
 
-def let_ask() -> None:
-    """Have devices ask who sits at this terminal for a hand; in a pipe, or with --json, nobody."""
+def let_ask(device: DeviceSetup, *, drives: bool = True) -> None:
+    """Have devices ask who sits at this terminal for a hand; in a pipe, or with --json, nobody.
+
+    Raises Fault SERVO_SWITCH_UNTRIED where a hand is needed before it ``drives`` and nobody can be asked.
+    """
     if sys.stderr.isatty() and not asks_json():  # no colour that is asked for makes a terminal of a pipe
         person.asks = _ask_for
+    if drives and person.asks is None and (hand := backend_of(device).hand(device)):
+        raise Fault("SERVO_SWITCH_UNTRIED", hand)  # now: once it is open its registers are changed
 
 
 def _ask_for(words: str, is_seen: Callable[[], bool]) -> bool:

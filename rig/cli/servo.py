@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rig.cli.shared import FILE, JSON, OUT, asks_json, fail, require_new, say_json, written
+from rig.cli.shared import FILE, JSON, OUT, asks_json, ended_in_words, fail, require_new, say_json, written
 from rig.core.faults import Fault
 from rig.run_folder.recording.folder import json_text
 
@@ -165,7 +165,9 @@ def facts(port: str, id: int, baud: int, to: Path | None, out: Path, yes: bool) 
         _ask(f"{link.model.name}, id {id}: is its horn free? It will turn", yes=yes)
         found = []
         watched = starter(line.descriptor, _SILENCE_S)
-        with told(out, "servo") as flag:
+        with told(out, "servo") as flag, ended_in_words(
+            "no file is written", "rig, or its keeper, has put the servo's registers back; else the next run does"
+        ):  # fmt: skip
             flag.tell_drive(is_on=True)
             trying = tried(
                 link, store_of(port, id), None if yes else powered, lambda *of: _Stoppable(watched(*of), flag)
@@ -220,6 +222,9 @@ def opened(port: str, baud: int) -> Iterator[SerialPort]:
     one = SerialPort(port, baud)
     try:
         yield one
+    except Fault as fault:
+        fault.fit("servo")
+        raise
     finally:
         one.close()
 

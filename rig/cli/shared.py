@@ -6,10 +6,12 @@ import contextlib
 import json
 import math
 import os
+import signal
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from shlex import quote
+from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
@@ -51,6 +53,39 @@ def fail(cause: str, cure: str = "", *, status: int = EXIT_BAD_INPUT) -> NoRetur
     sys.exit(status)
 
 
+class EndedError(CauseError):
+    """A signal has ended the command."""
+
+    status = EXIT_FAILED
+
+
+@contextlib.contextmanager
+def ended_in_words(cause: str, cure: str) -> Iterator[None]:
+    """Within the block a SIGTERM ends it in these words, and what is open is closed; what drives may take it by itself.
+
+    One more is too late: it would end the putting back. Raises EndedError.
+    """
+
+    def ended(number: int, frame: FrameType | None) -> NoReturn:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        raise EndedError(f"ended by SIGTERM; {cause}", cure)
+
+    before = signal.signal(signal.SIGTERM, ended)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def as_typed(cure: str) -> str:
+    """A cure, with the command that was typed where it says `rig run CONFIG`."""
+    context = click.get_current_context()
+    names = [
+        one.human_readable_name for one in context.command.params if isinstance(one, click.Argument) and one.required
+    ]
+    return cure.replace("`rig run CONFIG`", f"`{' '.join(['rig', *context.command_path.split()[1:], *names])}`")
+
+
 @contextlib.contextmanager
 def written(file: Path) -> Iterator[None]:
     """Exit where the block cannot write this file."""
@@ -84,7 +119,7 @@ def fail_with(error: RigError) -> NoReturn:
     if isinstance(error, ConfigError):
         fail_config(error)
     if isinstance(error, Fault):
-        fail(str(error), error.cure, status=EXIT_FAILED)
+        fail(str(error), as_typed(error.cure), status=EXIT_FAILED)
     if isinstance(error, RecordingError):
         place = f"{error.path}: " if error.line is None else f"{error.path}:{error.line}: "
         status = EXIT_FAILED if isinstance(error, CannotWriteError) else EXIT_BAD_INPUT

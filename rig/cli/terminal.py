@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from rig.cli.shared import as_typed
 from rig.core.estimators import MAIN
 from rig.core.signals import plain
 from rig.output.text import (
@@ -157,7 +158,7 @@ def show_run(outcome: Outcome, *, verbose: bool = True) -> None:
     if outcome.failure:
         click.echo(f"rig: {outcome.failure}", err=True)
         if outcome.fault is not None:
-            click.echo(f"     {outcome.fault.cure}", err=True)
+            click.echo(f"     {as_typed(outcome.fault.cure)}", err=True)
 
 
 def tracking_words(tracking: Mapping[str, TrackingResult]) -> str:

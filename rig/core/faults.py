@@ -5,6 +5,8 @@ Any room may import this module; it imports only ``rig.core.signals``.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 from rig.core.errors import RigError
@@ -12,10 +14,16 @@ from rig.core.signals import plain
 
 
 class FaultEntry(NamedTuple):
-    """One row of the table: the cause in words, and the cure."""
+    """One row of the table: the cause in words, and the cure; of some drivers with a sentence more."""
 
     cause: str
     cure: str
+    also: Mapping[str, str] = MappingProxyType({})
+
+    def cure_with(self, driver: str = "") -> str:
+        """The cure for a device of this driver; empty: of any."""
+        more = self.also.values() if not driver else filter(None, [self.also.get(driver)])
+        return ". ".join((self.cure, *more))
 
 
 FAULTS: dict[str, FaultEntry] = {
@@ -42,19 +50,22 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "LINK_TIMEOUT": FaultEntry(
         "no valid reply within the time-out",
-        "check supply, cable, interference and daq.baud; on a Modbus device also daq.modbus.unit and "
-        "daq.modbus.parity; `rig check` prints what the link needs. An emulated device in real time shares this "
-        "machine; where it is busy, leave `-realtime` out of daq.port: virtual time waits for it",
+        "check supply, cable, interference and daq.baud; `rig check` prints what the link needs. An emulated device in "
+        "real time shares this machine; where it is busy, leave `-realtime` out of daq.port: virtual time waits for it",
+        {
+            "modbus": "On a Modbus device check daq.modbus.unit and daq.modbus.parity, too",
+            "servo": "Of a servo check daq.servo.id, too: `rig servo scan` shows who answers, and at which baud",
+        },
     ),
     "LINK_REPLY": FaultEntry(
         "the reply does not fit the request, or is damaged",
-        "check cable, shield, termination and daq.baud, and that nothing else talks on this line; then "
-        "daq.modbus.registers",
+        "check cable, shield, termination and daq.baud, and that nothing else talks on this line",
+        {"modbus": "On a Modbus device check daq.modbus.registers, too"},
     ),
     "LINK_UNIT": FaultEntry(
         "another unit answered",
-        "give each device on the line a unit id of its own, and put this device's in daq.modbus.unit, "
-        "of a servo in daq.servo.id",
+        "give each device on the line an id of its own",
+        {"modbus": "Put a Modbus device's in daq.modbus.unit", "servo": "Put a servo's in daq.servo.id"},
     ),
     "MODBUS_EXCEPTION": FaultEntry(
         "the device refused a request",
@@ -395,9 +406,13 @@ class Fault(RigError):
         entry = FAULTS[code]
         self.code = code
         self.cause = entry.cause
-        self.cure = entry.cure
+        self.cure = entry.cure_with()
         self.detail = detail = plain(detail)
         super().__init__(f"{code}: {entry.cause}" + (f" ({detail})" if detail else ""))
+
+    def fit(self, driver: str) -> None:
+        """Have the cure say nothing of devices of other drivers."""
+        self.cure = FAULTS[self.code].cure_with(driver)
 
     def as_dict(self) -> dict[str, str]:
         """The fault as ``events.jsonl`` and ``result.json`` hold it."""

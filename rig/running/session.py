@@ -260,6 +260,7 @@ def _run_script(script: Script, session: Session, on_start: OnStart | None) -> F
         session.loop.check_stop()
     except Fault as seen:
         fault = seen
+        fault.fit(session.experiment.daq.driver)
         if text := traceback_of(seen):
             session.note("traceback", text=text[-2000:])
     except IdentifyError as error:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -79,16 +81,19 @@ def test_facts_that_no_file_would_take_are_refused_before_the_servo_turns(port: 
         assert words in said("servo", "facts", port, "1", "--to", str(file), status=2)
 
 
-def test_a_stop_by_another_panel_reaches_a_horn_that_turns(
-    port: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("words", ["INTERRUPTED", "ended by SIGTERM; no file is written"])
+def test_a_stop_by_another_panel_or_a_signal_reaches_a_horn_that_turns(
+    words: str, port: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answers: list[bool | None] = []
 
     def asked_while_it_turns(flag: StopFlag) -> str:
         (going,) = running(tmp_path)
         if not answers:
+            answers.append(going.runner.drives)
+            if "SIGTERM" in words:
+                os.kill(os.getpid(), signal.SIGTERM)
             assert Bench(None, tmp_path).stop().why == ""
-        answers.append(going.runner.drives)
         return asked_by(flag)
 
     asked_by = StopFlag.asked_by
@@ -97,7 +102,7 @@ def test_a_stop_by_another_panel_reaches_a_horn_that_turns(
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     file = tmp_path / "facts.json"
     arguments = ("servo", "facts", port, "1", "--yes", "--out", str(tmp_path), "--to", str(file))
-    assert "INTERRUPTED" in said(*arguments, status=1)
+    assert words in said(*arguments, status=1)
     assert answers == [True] and not file.exists() and running(tmp_path) == []
     registers = json.loads(said("servo", "show", port, "1", "--json"))["registers"]
     assert registers["torque_enable"] == 0 and registers["operating_mode"] == 3

@@ -100,7 +100,7 @@ def test_every_cure_of_a_fault_says_what_to_type_or_which_key() -> None:
     silent = [
         code
         for code, entry in FAULTS.items()
-        if not any(key in KEYS for key in named_keys(entry.cure)) and not list(named_commands(entry.cure))
+        if not any(key in KEYS for key in named_keys(entry.cure_with())) and not list(named_commands(entry.cure_with()))
     ]
     assert silent == []
 

@@ -54,6 +54,7 @@ _IN_A_ROW: Final = 2  # readings that must say the same before it is a fault: on
 _SAG_SHARE: Final = 0.25  # of the supply that may be lost under load
 _STEPS_OFF: Final = 2.0  # of the drive, by which the duty that acts may differ from what was written
 _STAMPED_S: Final = 0.004  # before now a duty was told, at most: the servo's step, and the way of its answer
+_LATE_S: Final = 0.002  # from here on an answer is later than an adapter's timer and its frames on USB make one
 _WAYS: Final = 8  # drives within that time, at most
 _GOLDEN: Final = 0.5 * (math.sqrt(5.0) - 1.0)  # its multiples are spread evenly over a step
 _STAGGERED: Final = 24  # readings that find where within its step the servo is
@@ -565,6 +566,8 @@ class ServoDriver(RegisterDriver[Ask]):
         self._t_u_s = self._driven_s = reply.executed_s
         steps = self._steps
         begins_s = steps.next_s(self._t_u_s) if steps.is_known else self._t_u_s + 0.5 * STEP_S
+        if steps.is_known and reply.latest_s - reply.executed_s - self._waits_s > _LATE_S:
+            begins_s = self._seen_to_begin_s(begins_s, units)
         # until then the drive of before is ramped on
         before = self._units if begins_s >= self._steady_s else self._ways[-1].at(begins_s)
         self._ways.append(_new(_Way, (begins_s, before, units, self._slope_units_s)))
@@ -574,6 +577,19 @@ class ServoDriver(RegisterDriver[Ask]):
         # of a ramp that was ended early its drive never acted: it ends where it began
         self._t_u_s = last_s if last_s > acts_s else acts_s  # the first one is nan
         self._steady_s = begins_s + way_s
+
+    def _seen_to_begin_s(self, begins_s: float, units: int) -> float:
+        """When a drive began whose answer was late, s: no earlier than a further reading sees it on its ramp.
+
+        begins_s  when it did if all that the exchange took beyond the sum was on its way back
+        """
+        if self._guardian is not None:
+            self._guardian.waits()
+        applied = self._values(self._read_span, self._exchange(self._sampling))["applied"]
+        if applied == units:  # the ramp is over, or there is none
+            return begins_s
+        ramped_s = abs(applied - self._ways[-1].at(begins_s)) / self._slope_units_s
+        return max(begins_s, self._sampled_s + STEP_S - ramped_s)  # at its first step it is one ahead
 
     def _may_act(self) -> tuple[float, float]:
         """Least and largest duty that a reading of now may tell, steps: by each drive of the last milliseconds."""

@@ -8,7 +8,7 @@ import os
 import select
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -102,7 +102,7 @@ class ServoKeeper:
         """What it writes to stop the servo, and to put it back, and what confirms each, in hexadecimal digits."""
         return {
             "stop": _orders(link, stop_orders(link)),
-            "restore": _orders(link, order_of(link, store.load(link.model) or {})),
+            "restore": _restoring(link, store.load(link.model) or {}),
         }
 
     @property
@@ -189,6 +189,18 @@ def stop_orders(link: ServoLink) -> list[Ask]:
     roles = link.model.roles
     off = link.write_of(roles["torque"], 0)
     return [off] if "lock" in roles else [link.write_of(roles["drive"], 0), off]
+
+
+def _restoring(link: ServoLink, values: Mapping[str, int]) -> list[tuple[str, str]]:
+    """What puts registers back, then a look at each: a late answer may have confirmed a write that was lost."""
+    *writes, off = order_of(link, values)
+    looks = []
+    watchdog = link.model.roles.get("watchdog")
+    for name, value in {**values, **({} if watchdog is None else {watchdog: 0})}.items():
+        register = link.model[name]
+        answer = link.bus.codec.status(link.bus.id, register.pack(value))
+        looks.append((link.bus.reading(register.address, register.size, name).data.hex(), answer.hex()))
+    return [*_orders(link, writes), *looks, *_orders(link, [off])]
 
 
 def _orders(link: ServoLink, asks: list[Ask]) -> list[tuple[str, str]]:

@@ -25,6 +25,7 @@ _LISTENS_AGAIN_S: Final = 0.25  # where answers were disturbed
 _QUESTIONS: Final = 4  # that tell whether one servo alone answers
 _PINGS: Final = 2  # of them besides, for one that answers nothing else
 _ANSWERS_S: Final = 0.03  # within which a second answer comes, also behind a slow adapter
+_CALLS: Final = 2  # of an id before nobody has it: one packet may be lost
 _TORQUE_BY_GOAL, _SLAVE = 0x08, 0x02  # bits of Dynamixel's drive mode
 _TORQUE_AT_START, _RAM_AT_START = 0x01, 0x02  # bits of its startup configuration
 _ANSWERS_ALL: Final = {"dynamixel": 2, "feetech": 1}  # level at which a servo answers every instruction
@@ -112,7 +113,7 @@ def look(link: ServoLink, setup: ServoSetup) -> tuple[str, ...]:
     _check_supply(link, setup)
     _check_heat(link, setup)
     _check_torque(link)
-    return _check_others(link, setup)
+    return check_others(link)
 
 
 def objections(link: ServoLink) -> tuple[str, ...]:
@@ -330,9 +331,10 @@ def check_bus(link: ServoLink) -> None:
 def check_free(link: ServoLink) -> None:
     """Before rig takes the torque away from a servo that it has left: somebody else may have taken it over since.
 
-    Rig's own torque is on in PWM mode alone. Raises Fault SERVO_IN_USE, SECOND_MASTER, LINK_UNIT.
+    Rig's own torque is on in PWM mode alone. Raises Fault SERVO_IN_USE, SECOND_MASTER, LINK_UNIT, SERVO_SETUP.
     """
     check_bus(link)
+    check_others(link)
     if link.value(link.model.roles["mode"]) != link.model.pwm_mode:
         _check_torque(link)
 
@@ -425,25 +427,30 @@ def _check_heat(link: ServoLink, setup: ServoSetup) -> None:
         raise Fault("SERVO_HOT", f"{temperature} degC, daq.servo.hot_degC is {setup.hot_degC}")
 
 
-def _check_others(link: ServoLink, setup: ServoSetup) -> tuple[str, ...]:
+def check_others(link: ServoLink) -> tuple[str, ...]:
     """Who else is on the bus. Only their second id is read: one that is ours would make them obey rig.
 
-    One that answers pings alone does not tell it, and obeys in silence.
+    One that answers pings alone does not tell it, and obeys in silence. Raises Fault SERVO_SETUP, LINK_*.
     """
-    told = {id: link.is_there(id) for id in range(LAST_ID + 1) if id != setup.id}
-    others = {id: int.from_bytes(said[:2], "little") for id, said in told.items() if said is not None}
-    shadow = link.model.roles.get("shadow_id")
+    own, shadow = link.bus.id, link.model.roles.get("shadow_id")
+    silent = [id for id in range(LAST_ID + 1) if id != own]
+    others: dict[int, int] = {}  # their model's numbers
+    for _ in range(_CALLS if shadow is not None else 1):
+        told = {id: link.is_there(id) for id in silent}
+        others |= {id: int.from_bytes(said[:2], "little") for id, said in told.items() if said is not None}
+        silent = [id for id, said in told.items() if said is None]
+    others = dict(sorted(others.items()))
     for id in others:
-        if shadow is not None and (second := link.value_of(id, shadow)) in (None, setup.id):
+        if shadow is not None and (second := link.value_of(id, shadow)) in (None, own):
             tells = "does not tell its second id" if second is None else f"has {second} as its second id"
             raise Fault("SERVO_SETUP", f"servo {id} {tells}: it would obey rig, too")
     if not others:
         return ()
-    alike = [id for id, number in others.items() if number == setup.model.number]
+    alike = [id for id, number in others.items() if number == link.model.number]
     words = f"also on this bus: servo {_listed(others)}; rig leaves them alone"
     if alike:
         words += (
-            f". It drives servo {setup.id}, and {len(alike)} of them, {_listed(alike)}, "
+            f". It drives servo {own}, and {len(alike)} of them, {_listed(alike)}, "
             f"{'is' if len(alike) == 1 else 'are'} of the same model: only the id tells them apart"
         )
     return (words,)

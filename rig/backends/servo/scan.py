@@ -12,7 +12,14 @@ from rig.backends.registers.bus import BusClient
 from rig.backends.servo.before import BeforeStore, put_back
 from rig.backends.servo.bus import PING_S, Ask, ServoLink, servo_link
 from rig.backends.servo.models import MODELS, ServoModel, models_of
-from rig.backends.servo.opening import check_bus, check_free, check_started_anew, check_startup, objections
+from rig.backends.servo.opening import (
+    check_bus,
+    check_free,
+    check_others,
+    check_started_anew,
+    check_startup,
+    objections,
+)
 from rig.backends.servo.packets import LAST_ID
 from rig.core.faults import Fault
 
@@ -141,10 +148,11 @@ def known_servo(port: Transport, id: int, baud: int) -> ServoLink:
 def reboot(port: Transport, link: ServoLink) -> None:
     """Start a servo anew, and wait until it answers.
 
-    Raises Fault LINK_TIMEOUT, SERVO_REFUSED, SECOND_MASTER, LINK_UNIT; SERVO_SETUP for one that would drive then;
-    SERVO_IN_USE, SERVO_ERROR for one that has not done it.
+    Raises Fault LINK_TIMEOUT, SERVO_REFUSED, SECOND_MASTER, LINK_UNIT; SERVO_SETUP for one that would drive then, or
+    where another would obey, too; SERVO_IN_USE, SERVO_ERROR for one that has not done it.
     """
     check_bus(link)
+    check_others(link)
     check_startup(link)
     client = BusClient[Ask](port, link.bus)
     try:
@@ -164,10 +172,11 @@ def set_baud(opened: Opened, link: ServoLink, baud: int, store: BeforeStore) -> 
     """Have a servo speak at another baud from now on, kept without supply; then look for it there.
 
     store  a lock that had to be opened is in it until it is closed again: the next run, or ``restore``, closes it
-    Raises Fault SERVO_IN_USE, SECOND_MASTER, LINK_UNIT, CONFIG_MISMATCH for a baud that it has not, LINK_TIMEOUT, and
-    as ``restore``.
+    Raises Fault SERVO_IN_USE, SERVO_SETUP, SECOND_MASTER, LINK_UNIT, CONFIG_MISMATCH for a baud that it has not,
+    LINK_TIMEOUT, and as ``restore``.
     """
     check_bus(link)
+    check_others(link)
     model, id = link.model, link.bus.id
     index = next((index for index, one in model.bauds.items() if one == baud), None)
     if index is None:

@@ -189,7 +189,7 @@ class ReportedRun:
                 code=fault.code,
                 cause=fault.cause or (entry.cause if entry else "not recorded"),
                 cure=fault.cure
-                or (entry.cure if entry else "search for this code in docs/, or ask and send this report"),
+                or (entry.cure_with() if entry else "search for this code in docs/, or ask and send this report"),
                 detail=fault.detail,
                 t_s=before.t_s if fault.t_s is None and before is not None else fault.t_s,
             )

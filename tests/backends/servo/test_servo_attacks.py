@@ -501,6 +501,22 @@ def test_a_servo_that_drives_when_it_starts_is_not_rebooted() -> None:
     assert not bench.servo.is_on
 
 
+@pytest.mark.parametrize("what", [
+    lambda bench, link: (bench.store.save(link.model, 1, {"pwm_limit": 300}), restore(link, bench.store)),
+    lambda bench, link: reboot(bench.bus, link),
+    lambda bench, link: set_baud(lambda baud: nullcontext(bench.bus), link, 57_600, bench.store),
+], ids=["restore", "reboot", "baud"])  # fmt: skip
+def test_no_command_is_obeyed_by_a_servo_that_has_the_id_as_its_second(
+    what: Callable[[Bench, ServoLink], object], tmp_path: Path
+) -> None:
+    """What it holds would fall."""
+    bench = Bench(others={"secondary_id": 1, "torque_enable": 1}, store=BeforeStore(tmp_path / "servo.json"))
+    link = bench.driver._link
+    with pytest.raises(Fault, match="SERVO_SETUP"):
+        what(bench, link)
+    assert all(servo.is_on and servo.value("baud_rate") == 3 for servo in bench.bystanders)
+
+
 @pytest.mark.parametrize("opens", [True, False])
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_a_servo_that_somebody_has_taken_over_since_keeps_its_torque(

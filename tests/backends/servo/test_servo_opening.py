@@ -18,6 +18,7 @@ from rig.core.faults import Fault
 from rig.testing.line import on_device
 
 COUNT_RAD = 2.0 * math.pi / 4096
+ID_AT = 4  # in a Dynamixel's packet
 
 REFUSED: list[tuple[str, str, dict[str, int], str, str]] = [
     ("dynamixel", "its torque is on", {"torque_enable": 1}, "SERVO_IN_USE", "torque is on"),
@@ -111,9 +112,21 @@ def test_another_model_is_refused_by_its_name(protocol: str) -> None:
 
 
 @pytest.mark.parametrize("level", [2, 1, 0])  # at 0 it answers pings alone, and obeys in silence
-def test_a_servo_that_has_our_id_as_its_second_is_found(level: int) -> None:
+@pytest.mark.parametrize("is_lost", [False, True])
+def test_a_servo_that_has_our_id_as_its_second_is_found(level: int, is_lost: bool) -> None:
+    """Also where its first answer is lost: unseen it would drive as rig's own does."""
     bench = Bench(others={"secondary_id": 1, "status_return_level": level})
+    left = set(BYSTANDERS) if is_lost else set()
+
+    def lost(direction: str, data: bytes, _: float) -> list[tuple[float, bytes]]:
+        if direction == "reply" and data[ID_AT] in left:
+            left.remove(data[ID_AT])
+            return []
+        return [(0.0, data)]
+
+    bench.bus.bus.disturbance = lost
     assert refused(bench).code in ("SERVO_SETUP", "LINK_REPLY", "LINK_TIMEOUT")
+    assert not left
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)

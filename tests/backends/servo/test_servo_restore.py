@@ -226,6 +226,30 @@ def test_what_the_keeper_writes_stops_a_servo_and_puts_it_back_wherever_the_run_
         assert owned(bench) == before and not bench.servo.is_on and bench.wrong() == [], phase
 
 
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_late_answer_to_another_write_of_the_keeper_confirms_none_that_was_lost(protocol: str) -> None:
+    """A servo that is left in PWM mode unseen drives as soon as another program switches its torque on."""
+    lost, orders = 2, 2
+    while lost <= orders:
+        bench = Bench(protocol)
+        keeper, before, asked = Keeper(bench), owned(bench), 0
+        bench.driver._start_guardian = keeper
+        bench.armed()
+        assert keeper.stop()
+        orders, lost = len(keeper._restore), lost + 1
+
+        def spoilt(direction: str, data: bytes, _: float, lost: int = lost - 1) -> list[tuple[float, bytes]]:
+            nonlocal asked
+            asked += direction == "request"
+            if direction == "request" and asked == lost:
+                return []
+            return [(0.0, data), (0.003, data)] if asked == lost - 1 else [(0.0, data)]
+
+        bench.bus.bus.disturbance = spoilt
+        restored = keeper.restore()
+        assert not bench.servo.is_on and (not restored or owned(bench) == before), lost - 1
+
+
 def test_nothing_is_written_where_the_values_of_before_cannot_be_kept(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     bench = Bench(store=BeforeStore(tmp_path / "file" / "servo.json"))

@@ -9,13 +9,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 from servo_bench import CONFIGS, PROTOCOLS, Bench
 from test_servo_opening import writes
 
 from rig.backends.servo.backend import SERVO
 from rig.backends.servo.emulated.faults import ReplyFault
 from rig.backends.servo.line import setup_of
-from rig.cli import driving
+from rig.cli import driving, main
+from rig.config import load
 from rig.control.loop.stop_request import stop_on_signals
 from rig.core import person
 from rig.core.faults import Fault
@@ -112,7 +114,6 @@ def test_a_run_in_a_pipe_is_refused_before_the_port_is_opened(tmp_path: Path, mo
     """A colour that is asked for makes no terminal of it."""
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setattr(person, "asks", None)
-    monkeypatch.setattr(driving, "asks_json", lambda: False)
     text = CONFIGS["feetech"].read_text()
     text = text.replace("port: emulated", "port: /dev/null")
     text = text.replace(
@@ -120,8 +121,10 @@ def test_a_run_in_a_pipe_is_refused_before_the_port_is_opened(tmp_path: Path, mo
         "    model: sts3215\n    attached: joint\n    adapter: native-usb\n    supply_switch: the red one",
     )
     (tmp_path / "bench.yaml").write_text(text)
-    with pytest.raises(Fault, match=r"SERVO_SWITCH_UNTRIED.*the red one"):
-        driving.checked_bench(tmp_path / "bench.yaml")
+    for command in ("run", "calibrate"):
+        done = CliRunner().invoke(main, [command, str(tmp_path / "bench.yaml")])
+        assert done.exit_code == 1 and "the red one" in done.output
+        assert "SERVO_SWITCH_UNTRIED" in done.output and f"type `rig {command} CONFIG` in a terminal" in done.output
 
 
 @pytest.mark.parametrize("sees", [False, True])
@@ -130,7 +133,7 @@ def test_a_signal_ends_the_question_at_once(number: int, sees: bool, monkeypatch
     monkeypatch.setattr(person, "asks", None)
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     monkeypatch.setattr(driving, "asks_json", lambda: False)
-    driving.let_ask()
+    driving.let_ask(load(CONFIGS["feetech"]).device)
     looks = []
 
     def is_seen() -> bool:

@@ -5,13 +5,19 @@ from __future__ import annotations
 import itertools
 import random
 import statistics
+from collections.abc import Callable
 
 import pytest
 from servo_bench import PROTOCOLS, Bench
 
+from rig.backends.servo.dynamixel import Instruction
+from rig.backends.servo.steps import STEP_S
+
 WINDOW_S = 0.0045  # around a drive's time: within it the ramp of the fastest slope is over
 LARGEST_MEAN_S = 1e-4
 LEAST_CHANGE_V = 0.3
+INSTRUCTION_AT = 7  # in a Dynamixel's packet
+HELD_UP_SHARE, HELD_UP_S = 0.03, (0.002, 0.009)  # of the exchanges, each way, and for how long
 
 
 def acted_s(outputs: list[tuple[float, float]], about_s: float) -> float | None:
@@ -46,21 +52,56 @@ def test_a_drive_acts_when_the_sample_says_in_the_mean(protocol: str, phase_s: f
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_a_position_was_sampled_when_the_sample_says_in_the_mean(protocol: str, phase_s: float) -> None:
     """Of a shaft that turns at a known speed."""
-    bench, speed = Bench(protocol), 1.2
+    bench = Bench(protocol)
     bench.armed()
     bench.bus.sleep_until(bench.bus.now_s() + phase_s)
-    began_s, errors_s = bench.bus.now_s(), []
-    real = bench.servo._tick
+    is_at_s = turning(bench)
+    errors_s = [is_at_s(sample.y_rad) - sample.t_s for sample in (bench.tick(0.0) for _ in range(150))]
+    assert abs(statistics.mean(errors_s[5:])) < 2.0 * LARGEST_MEAN_S
+
+
+def turning(bench: Bench, speed_rad_s: float = 1.2) -> Callable[[float], float]:
+    """Have the shaft turn at this speed, whatever drives it; when it is where, s."""
+    began_s, real = bench.bus.now_s(), bench.servo._tick
 
     def tick() -> None:
-        bench.servo.place(-1.0 + speed * (bench.servo.t_s - began_s))
+        bench.servo.place(-1.0 + speed_rad_s * (bench.servo.t_s - began_s))
         real()
 
     bench.servo._tick = tick  # type: ignore[method-assign]  # of this one
-    for _ in range(150):
-        sample = bench.tick(0.0)
-        errors_s.append((sample.y_rad + 1.0) / speed + began_s - sample.t_s)
-    assert abs(statistics.mean(errors_s[5:])) < 2.0 * LARGEST_MEAN_S
+    return lambda y_rad: (y_rad + 1.0) / speed_rad_s + began_s
+
+
+@pytest.mark.parametrize("held_up", ["before it sends", "before it reads", "readings", "drives"])
+def test_who_is_held_up_between_asking_and_reading_shifts_no_time(
+    held_up: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The host, or what is on its way from it to the servo."""
+    monkeypatch.setattr("servo_bench.PERIOD_S", 0.03)  # whatever is held up in a tick, the next one is on time
+    bench, rng = Bench(setup={"fastest_slope": True}), random.Random(1)
+    bench.armed()
+    send = bench.bus.write
+
+    def waits_s(who: str) -> float:
+        return rng.uniform(*HELD_UP_S) if held_up == who and rng.random() < HELD_UP_SHARE else 0.0
+
+    def late(_: str, data: bytes, __: float) -> list[tuple[float, bytes]]:
+        who: dict[int, str] = {Instruction.READ: "readings", Instruction.WRITE: "drives"}
+        return [(waits_s(who.get(data[INSTRUCTION_AT], "")), data)]
+
+    def write(data: bytes) -> None:
+        bench.bus.sleep_until(bench.bus.now_s() + waits_s("before it sends"))
+        send(data)
+        bench.bus.sleep_until(bench.bus.now_s() + waits_s("before it reads"))
+
+    monkeypatch.setattr(bench.bus, "write", write)
+    bench.bus.bus.disturbance, is_at_s = late, turning(bench)
+    samples = [bench.tick(rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 1.5)) for _ in range(300)]
+    seen = [(s.t_u_s, acted_s(bench.bus.outputs[0], s.t_u_s)) for s in samples[2:]]
+    drives_s = [t_u_s - at_s for t_u_s, at_s in seen if at_s is not None]
+    readings_s = [is_at_s(s.y_rad) - s.t_s for s in samples[5:]]
+    assert abs(statistics.mean(readings_s)) < 2.0 * LARGEST_MEAN_S and max(map(abs, readings_s)) < STEP_S
+    assert abs(statistics.mean(drives_s)) < LARGEST_MEAN_S and max(map(abs, drives_s)) < STEP_S
 
 
 @pytest.mark.parametrize(

@@ -53,6 +53,13 @@ def test_after_any_end_all_is_as_it_was_and_no_other_servo_was_touched(
     assert {id: seen[id] for id in BYSTANDERS} == dict.fromkeys(BYSTANDERS, 1)
 
 
+def test_a_wrong_id_is_told_in_what_the_config_of_a_servo_has(tmp_path: Path) -> None:
+    bench = Bench(id=3)
+    with on_device(bench.bus), pytest.raises(Fault, match="LINK_TIMEOUT") as seen:
+        run(bench.e, tmp_path)
+    assert "daq.servo.id" in seen.value.cure and "modbus" not in seen.value.cure
+
+
 def test_the_end_of_a_run_says_that_the_keeper_has_acted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever else ended it."""
     monkeypatch.setattr(Loop, "_fresh_reading", fails)
