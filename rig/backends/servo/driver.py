@@ -586,7 +586,7 @@ class ServoDriver(RegisterDriver[Ask]):
         if self._guardian is not None:
             self._guardian.waits()
         applied = self._values(self._read_span, self._exchange(self._sampling))["applied"]
-        if applied == units:  # the ramp is over, or there is none
+        if abs(applied - units) <= _STEPS_OFF:  # the ramp is over, or there is none
             return begins_s
         ramped_s = abs(applied - self._ways[-1].at(begins_s)) / self._slope_units_s
         return max(begins_s, self._sampled_s + STEP_S - ramped_s)  # at its first step it is one ahead

@@ -15,6 +15,7 @@ from rig.backends.servo.before import BeforeStore, put_back, values_of
 from rig.backends.servo.bus import ServoLink
 from rig.backends.servo.models import ServoModel, models_of
 from rig.backends.servo.packets import LAST_ID
+from rig.backends.servo.presence import who_answers
 from rig.core.faults import Fault
 from rig.core.person import Asks
 
@@ -436,9 +437,8 @@ def check_others(link: ServoLink) -> tuple[str, ...]:
     silent = [id for id in range(LAST_ID + 1) if id != own]
     others: dict[int, int] = {}  # their model's numbers
     for _ in range(_CALLS if shadow is not None else 1):
-        told = {id: link.is_there(id) for id in silent}
-        others |= {id: int.from_bytes(said[:2], "little") for id, said in told.items() if said is not None}
-        silent = [id for id, said in told.items() if said is None]
+        others |= who_answers(link, silent, surely=True)
+        silent = [id for id in silent if id not in others]
     others = dict(sorted(others.items()))
     for id in others:
         if shadow is not None and (second := link.value_of(id, shadow)) in (None, own):

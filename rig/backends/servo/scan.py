@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from typing import Final
@@ -10,7 +10,7 @@ from typing import Final
 from rig.backends.driver import Transport
 from rig.backends.registers.bus import BusClient
 from rig.backends.servo.before import BeforeStore, put_back
-from rig.backends.servo.bus import PING_S, Ask, ServoLink, servo_link
+from rig.backends.servo.bus import Ask, ServoLink, servo_link
 from rig.backends.servo.models import MODELS, ServoModel, models_of
 from rig.backends.servo.opening import (
     check_bus,
@@ -21,13 +21,13 @@ from rig.backends.servo.opening import (
     objections,
 )
 from rig.backends.servo.packets import LAST_ID
+from rig.backends.servo.presence import who_answers
 from rig.core.faults import Fault
 
 USUAL_BAUDS: Final = (1_000_000, 57_600, 115_200)  # rig's own, and as Dynamixel and many boards are shipped
 _KINDS: Final = (MODELS["xl330-m288"], MODELS["sts3215"])  # one of each protocol: all share where the number is
 _REBOOTS_S: Final = 3.0
 _ATTEMPTS: Final = 3
-_LATE_S, _LATE_IDS = 0.05, 8  # of an answer behind a slow adapter, and how many ids were asked meanwhile
 
 Opened = Callable[[int], AbstractContextManager[Transport]]  # a port at a baud
 
@@ -65,41 +65,9 @@ def scan(opened: Opened, bauds: Iterable[int] = USUAL_BAUDS, ids: Iterable[int] 
     for baud in bauds:
         with opened(baud) as port:
             for kind in _KINDS:
-                for id in _who_answers(servo_link(port, kind, 0, baud), ids):
+                for id, _ in who_answers(servo_link(port, kind, 0, baud), ids):
                     if (seen := _seen(port, servo_link(port, kind, id, baud), id, baud)) is not None:
                         yield seen
-
-
-def _who_answers(link: ServoLink, ids: Sequence[int]) -> Iterator[int]:
-    """Those of these ids that answer a ping, each once.
-
-    Behind a slow adapter, or where this machine stands still, an answer may come once nobody waits for it: while a
-    later id is asked, or before that. Then the last ones are asked again, patiently.
-    """
-    told: set[int] = set()
-    for at in range(1, len(ids) + 1):
-        strayed = link.stray_bytes
-        answered = _answers(link, ids[at - 1], PING_S)
-        there = [ids[at - 1]] if answered else []
-        if at == len(ids):
-            link.client.wait(_LATE_S)
-        if answered is None or link.stray_bytes > strayed:
-            link.client.wait(_LATE_S)  # what else is on its way is not of those that are asked now
-            there = [one for one in ids[max(at - 1 - _LATE_IDS, 0) : at] if _answers(link, one, _LATE_S)]
-        for one in there:
-            if one not in told:
-                told.add(one)
-                yield one
-
-
-def _answers(link: ServoLink, id: int, patience_s: float) -> bool | None:
-    """Whether a servo answers a ping within a time, s; None where the answer of another one came, late."""
-    try:
-        return link.is_there(id, patience_s) is not None
-    except Fault as fault:
-        if fault.code != "LINK_UNIT":
-            raise
-        return None
 
 
 def _seen(port: Transport, link: ServoLink, id: int, baud: int) -> Seen | None:

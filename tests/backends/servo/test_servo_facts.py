@@ -12,7 +12,7 @@ from servo_bench import PROTOCOLS, Bench
 from rig.backends.servo.bus import PING_S, servo_link
 from rig.backends.servo.facts import Fact, facts
 from rig.backends.servo.opening import Opened, set_up
-from rig.backends.servo.scan import _who_answers
+from rig.backends.servo.presence import who_answers
 
 
 def found(bench: Bench, powered: Any = None) -> dict[str, Fact]:
@@ -144,7 +144,9 @@ def test_a_scan_finds_each_servo_once_however_late_its_answer_comes(protocol: st
     bench.bus.bus.line = dataclasses.replace(bench.bus.bus.line, adapter_s=adapter_s)
     ids = range(12)
     link = servo_link(bench.bus, bench.setup.model, 0, bench.own.baud)
-    assert sorted(_who_answers(link, ids)) == ([1, 4, 7] if adapter_s < 0.05 else [])  # too late is no fault
+    assert sorted(id for id, _ in who_answers(link, ids)) == (
+        [1, 4, 7] if adapter_s < 0.05 else []
+    )  # too late is no fault
 
 
 def test_a_scan_finds_a_servo_whose_answer_came_while_the_host_stood_still() -> None:
@@ -160,4 +162,4 @@ def test_a_scan_finds_a_servo_whose_answer_came_while_the_host_stood_still() -> 
         return asked(id, patience_s)
 
     link.is_there = late  # type: ignore[method-assign]
-    assert sorted(_who_answers(link, range(8))) == [1, 4, 7]
+    assert sorted(id for id, _ in who_answers(link, range(8))) == [1, 4, 7]

@@ -12,7 +12,7 @@ from servo_bench import BYSTANDERS, PROTOCOLS, Bench, line_of
 
 from rig.backends.registry import backend_of, connect
 from rig.backends.servo import dynamixel, feetech
-from rig.backends.servo.opening import check_alone
+from rig.backends.servo.opening import check_alone, check_others
 from rig.config.schema import Experiment
 from rig.core.faults import Fault
 from rig.testing.line import on_device
@@ -127,6 +127,19 @@ def test_a_servo_that_has_our_id_as_its_second_is_found(level: int, is_lost: boo
     bench.bus.bus.disturbance = lost
     assert refused(bench).code in ("SERVO_SETUP", "LINK_REPLY", "LINK_TIMEOUT")
     assert not left
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize("adapter_s", [0.006, 0.018, 0.06])  # answers come while another id is asked
+def test_behind_a_slow_adapter_the_others_are_found_or_it_is_refused(protocol: str, adapter_s: float) -> None:
+    """Else what a run has left could not be put back there; and nobody is there only where that is sure."""
+    bench = Bench(protocol)
+    bench.bus.bus.line = dataclasses.replace(bench.bus.bus.line, adapter_s=adapter_s)
+    if adapter_s > 0.05:
+        with pytest.raises(Fault, match="LINK_UNIT"):
+            check_others(bench.driver._link)
+    else:
+        assert "servo 4, 7;" in check_others(bench.driver._link)[0]
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)

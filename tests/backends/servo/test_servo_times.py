@@ -10,13 +10,15 @@ from collections.abc import Callable
 import pytest
 from servo_bench import PROTOCOLS, Bench
 
+from rig.backends.registers.bus import Reply
+from rig.backends.registers.map import RegisterSpan
 from rig.backends.servo.dynamixel import Instruction
 from rig.backends.servo.steps import STEP_S
 
 WINDOW_S = 0.0045  # around a drive's time: within it the ramp of the fastest slope is over
 LARGEST_MEAN_S = 1e-4
 LEAST_CHANGE_V = 0.3
-INSTRUCTION_AT = 7  # in a Dynamixel's packet
+INSTRUCTION_AT, REPLY_TO_WRITE_BYTES = 7, 11  # of a Dynamixel's packets
 HELD_UP_SHARE, HELD_UP_S = 0.03, (0.002, 0.009)  # of the exchanges, each way, and for how long
 
 
@@ -102,6 +104,30 @@ def test_who_is_held_up_between_asking_and_reading_shifts_no_time(
     readings_s = [is_at_s(s.y_rad) - s.t_s for s in samples[5:]]
     assert abs(statistics.mean(readings_s)) < 2.0 * LARGEST_MEAN_S and max(map(abs, readings_s)) < STEP_S
     assert abs(statistics.mean(drives_s)) < LARGEST_MEAN_S and max(map(abs, drives_s)) < STEP_S
+
+
+def test_a_duty_that_reads_a_step_less_than_was_written_is_no_ramp_behind_a_late_answer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("servo_bench.PERIOD_S", 0.03)
+    bench, rng = Bench(setup={"fastest_slope": True}), random.Random(1)
+    bench.armed()
+    values = bench.driver._values
+
+    def a_step_less(span: RegisterSpan, reply: Reply) -> dict[str, float]:
+        told = values(span, reply)
+        told["applied"] -= (told["applied"] > 0.0) - (told["applied"] < 0.0)
+        return told
+
+    def late(direction: str, data: bytes, _: float) -> list[tuple[float, bytes]]:
+        is_late = direction == "reply" and len(data) == REPLY_TO_WRITE_BYTES and rng.random() < 0.1
+        return [(rng.uniform(*HELD_UP_S) if is_late else 0.0, data)]
+
+    monkeypatch.setattr(bench.driver, "_values", a_step_less)
+    bench.bus.bus.disturbance = late
+    samples = [bench.tick(rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 1.5)) for _ in range(200)]
+    seen = [(s.t_u_s, acted_s(bench.bus.outputs[0], s.t_u_s)) for s in samples[2:]]
+    assert max(abs(t_u_s - at_s) for t_u_s, at_s in seen if at_s is not None) < STEP_S
 
 
 @pytest.mark.parametrize(
