@@ -54,7 +54,7 @@ _IN_A_ROW: Final = 2  # readings that must say the same before it is a fault: on
 _SAG_SHARE: Final = 0.25  # of the supply that may be lost under load
 _STEPS_OFF: Final = 2.0  # of the drive, by which the duty that acts may differ from what was written
 _STAMPED_S: Final = 0.004  # before now a duty was told, at most: the servo's step, and the way of its answer
-_LATE_S: Final = 0.002  # from here on an answer is later than an adapter's timer and its frames on USB make one
+_LATE_S: Final = 0.002  # from here on an answer is later than the quickest one, and than its adapter makes it
 _WAYS: Final = 8  # drives within that time, at most
 _GOLDEN: Final = 0.5 * (math.sqrt(5.0) - 1.0)  # its multiples are spread evenly over a step
 _STAGGERED: Final = 24  # readings that find where within its step the servo is
@@ -147,6 +147,7 @@ class ServoDriver(RegisterDriver[Ask]):
         self._tick = self._tick_s = math.nan  # the servo's clock as last read, ms, and the host's, s
         self._steps, self._waits_s = Steps(), math.inf  # and how long the quickest reply waited on its way back, s
         self._dithered = 0.0  # share of a step
+        self._late_s = _LATE_S + setup.adapter_s
 
     # ------------------------------------------------------------------ requests
 
@@ -566,7 +567,7 @@ class ServoDriver(RegisterDriver[Ask]):
         self._t_u_s = self._driven_s = reply.executed_s
         steps = self._steps
         begins_s = steps.next_s(self._t_u_s) if steps.is_known else self._t_u_s + 0.5 * STEP_S
-        if steps.is_known and reply.latest_s - reply.executed_s - self._waits_s > _LATE_S:
+        if steps.is_known and reply.latest_s - reply.executed_s - self._waits_s > self._late_s:
             begins_s = self._seen_to_begin_s(begins_s, units)
         # until then the drive of before is ramped on
         before = self._units if begins_s >= self._steady_s else self._ways[-1].at(begins_s)

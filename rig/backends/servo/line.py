@@ -80,6 +80,7 @@ def setup_of(d: DeviceSetup) -> ServoSetup:
         watchdog_s=d.daq.watchdog_s,
         longest_delay_s=longest_return_delay_s(d.daq, servo, d.period_s),
         supply_switch=switch_to_try(d, servo),
+        adapter_s=adapter_delay_s(adapter_of(d.daq, servo)),
     )
 
 

@@ -61,6 +61,7 @@ class ServoSetup:
     watchdog_s    silence after which its watchdog acts, s
     longest_delay_s  return delay that a tick has room for, s: one that is not longer stays as it is
     supply_switch    that must be tried before it drives, in words; empty: none must
+    adapter_s        by how much its USB adapter makes an exchange longer, at most, s
     """
 
     model: ServoModel
@@ -74,6 +75,7 @@ class ServoSetup:
     watchdog_s: float
     longest_delay_s: float = 0.0
     supply_switch: str = ""
+    adapter_s: float = 0.0
 
 
 @dataclass(frozen=True)

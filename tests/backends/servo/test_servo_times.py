@@ -10,6 +10,7 @@ from collections.abc import Callable
 import pytest
 from servo_bench import PROTOCOLS, Bench
 
+from rig.backends.links.usb_adapters import Adapter, adapter_delay_s
 from rig.backends.registers.bus import Reply
 from rig.backends.registers.map import RegisterSpan
 from rig.backends.servo.dynamixel import Instruction
@@ -104,6 +105,27 @@ def test_who_is_held_up_between_asking_and_reading_shifts_no_time(
     readings_s = [is_at_s(s.y_rad) - s.t_s for s in samples[5:]]
     assert abs(statistics.mean(readings_s)) < 2.0 * LARGEST_MEAN_S and max(map(abs, readings_s)) < STEP_S
     assert abs(statistics.mean(drives_s)) < LARGEST_MEAN_S and max(map(abs, drives_s)) < STEP_S
+
+
+@pytest.mark.parametrize("adapter", ["cp210x", "ch340"])
+def test_answers_as_late_as_their_adapter_makes_them_cost_no_further_reading(
+    adapter: Adapter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each further one takes a tick's time: of 3,000 ticks 74 were skipped."""
+    monkeypatch.setattr("servo_bench.PERIOD_S", 0.05)
+    longest_s = adapter_delay_s(adapter)
+    bench, rng, reads = Bench(setup={"fastest_slope": True, "adapter_s": longest_s}), random.Random(1), 0
+    bench.armed()
+
+    def late(direction: str, data: bytes, _: float) -> list[tuple[float, bytes]]:
+        nonlocal reads
+        reads += direction == "request" and data[INSTRUCTION_AT] == Instruction.READ
+        return [(rng.uniform(0.0, longest_s) if direction == "reply" else 0.0, data)]
+
+    bench.bus.bus.disturbance = late
+    for _ in range(50):
+        bench.tick(rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 1.5))
+    assert reads == 50
 
 
 def test_a_duty_that_reads_a_step_less_than_was_written_is_no_ramp_behind_a_late_answer(
