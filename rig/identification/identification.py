@@ -317,21 +317,26 @@ def _takes_change(data: Measurements, estimate: Estimate | None) -> bool:
         return False
     try:
         limit = limit_of(data.tests, estimate)
-        smoothed = smoothings(data.tests, estimate) if math.isinf(limit.drive_V) else {}
+        smoothed = smoothings(data.tests, estimate) if math.isinf(limit.drive_V) else []
     except IdentifyError:
         return False  # too short for pieces
     if math.isfinite(limit.drive_V):
         data.take(partial(clipped, limit=limit), limit.in_words())
         data.unsure += [by_speed_limit] if limit.from_rad_s > 0.0 else []
-    told = {name: one for name, one in smoothed.items() if one.left < 1.0}
-    if told:
-        period_s, names = max(test.period_s for test in data.tests), {test.name for test in data.tests}
-        words = [("" if told.keys() == names else f"{name}: ") + one.in_words(period_s) for name, one in told.items()]
-        data.take(lambda test: told[test.name].undone(test) if test.name in told else test, *dict.fromkeys(words))
-    worst = max(smoothed.values(), key=lambda one: max(OF_FILTER, one.left) * one.late_s, default=None)
+    undone = {id(test): one for test, one in zip(data.tests, smoothed, strict=False) if one and one.left < 1.0}
+    if undone:
+        period_s, is_alike = max(test.period_s for test in data.tests), len(set(smoothed)) == 1
+        words = [
+            ("" if is_alike else f"{name}: ") + undone[id(test)].in_words(period_s)
+            for test, name in zip(data.tests, data.recording_of, strict=True)
+            if id(test) in undone
+        ]
+        data.take(lambda test: undone[id(test)].undone(test) if id(test) in undone else test, *dict.fromkeys(words))
+    told = [one for one in smoothed if one is not None]
+    worst = max(told, key=lambda one: max(OF_FILTER, one.left) * one.late_s, default=None)
     if worst is not None and worst.late_s > 0.0:
         data.unsure.append(partial(by_filter, lag_s=worst.late_s, left=worst.left))
-    return math.isfinite(limit.drive_V) or bool(told)
+    return math.isfinite(limit.drive_V) or bool(undone)
 
 
 def _by_steps(tests: Sequence[TimeSeries], found: Estimate | None) -> list[Callable[[Answer], Answer]]:

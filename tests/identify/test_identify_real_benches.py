@@ -217,13 +217,13 @@ def test_a_column_that_was_smoothed_or_came_late_is_named_and_undone(how: str, s
 
 
 def test_of_two_files_the_one_that_was_smoothed_is_undone() -> None:
-    """Together they show no smoothing, and tau was 48 % off beside 14 %."""
+    """Together they show no smoothing, and tau was 48 % off beside 14 %; so it was where both have one name."""
     sharp, (t_s, u_V, y_rad) = recorded(MOTOR, (3.0, 5.0, 7.0), rows=800), recorded(MOTOR, (3.0, 5.0, 7.0), seed=2)
     keep = math.exp(-PERIOD_S / 0.03)
     for k in range(1, t_s.size):
         y_rad[k] = keep * y_rad[k - 1] + (1.0 - keep) * y_rad[k]
-    found = found_in(sharp, (t_s, u_V, y_rad))
-    assert len(found.changes) == 1 and ": the reading is low-passed by 30" in found.changes[0], found.changes
+    found = identify([from_columns(Path("mon/log.csv"), *sharp), from_columns(Path("tue/log.csv"), t_s, u_V, y_rad)])
+    assert len(found.changes) == 1 and "tue/log.csv: the reading is low-passed by 30" in found.changes[0], found.changes
     assert found.answer is not None and right(found.answer, MOTOR, 0.025, "tau_s", "K_rad_s_V", "fc_V")
 
 
