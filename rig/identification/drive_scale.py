@@ -31,8 +31,9 @@ OF_FRICTION: Final = 3.0
 OF_FILTER: Final = 0.05
 # Of each number, where firmware limits the speed, by what the numbers of made logs were off
 OF_LIMIT: Final = {"tau_s": 0.05, "K_rad_s_V": 0.05, "fc_V": 0.15}
-# Of a step of the drive, that f_c may be off by, where drives are cut off: 0.6 at most in made logs
-OF_STEP: Final = 0.6
+# Of a step of the drive, that f_c may be off by, where drives are cut off: 0.6 at most in made logs. Residual over the
+# way of a step from one drive to the next, at least, where the motor got finer ones: 0.016 in 30 made logs
+OF_STEP, OF_WAY = 0.6, 0.01
 # Of a drive in steps: so few levels may be a relay's; from lowest to highest; places of levels, in steps; share of
 # changes by one step; levels of one that jumps, more; how the lengths of drives scatter, of their mean; digits of V
 FEWEST_LEVELS, MOST_STEPS, WHOLE, GOES_ON, JUMPS_TO, UNEVEN, DIGITS = 5, 66.0, 0.05, 0.8, 12, 0.25, 9
@@ -126,6 +127,12 @@ def drive_step_V(test: TimeSeries) -> float:
     goes_on = float(np.mean(np.abs(np.diff(drives_V)) < 1.5 * step_V)) > GOES_ON or levels.size > JUMPS_TO
     is_free = float(np.std(lasts)) > UNEVEN * float(np.mean(lasts))
     return step_V if is_even and goes_on and is_free else 0.0
+
+
+def hidden_step_V(test: TimeSeries, K_rad_s_V: float, rms_rad: float) -> float:
+    """The step of the drive behind which the motor may have got finer ones, V; 0.0 where it leaves less than that."""
+    step_V, lasts_s = drive_step_V(test), float(np.ptp(test.t_s)) / max(1, np.count_nonzero(np.diff(test.u_V)))
+    return step_V if rms_rad > OF_WAY * abs(K_rad_s_V) * step_V * lasts_s else 0.0
 
 
 def by_speed_limit(answer: Answer) -> Answer:

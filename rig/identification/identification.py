@@ -16,7 +16,7 @@ from rig.identification.agreement import are_one_motor, disagreement, estimates_
 from rig.identification.breakaway import StaticFriction, breakaway
 from rig.identification.clipped_drive import clipped, limit_of
 from rig.identification.departures.laws import LEVEL_EACH
-from rig.identification.drive_scale import OF_FILTER, by_filter, by_own_loop, by_speed_limit, by_steps, drive_step_V
+from rig.identification.drive_scale import OF_FILTER, by_filter, by_own_loop, by_speed_limit, by_steps, hidden_step_V
 from rig.identification.estimate import VERDICTS, Estimate
 from rig.identification.estimator import Estimator
 from rig.identification.friction_map import FrictionMap, friction_map
@@ -341,8 +341,11 @@ def _takes_change(data: Measurements, estimate: Estimate | None) -> bool:
 
 def _by_steps(tests: Sequence[TimeSeries], found: Estimate | None) -> list[Callable[[Answer], Answer]]:
     """What steps of the drive leave unknown, where the motor leaves more than noise: else they are what it got."""
-    step_V = max((drive_step_V(test) for test in tests if test.stage is None), default=0.0)
-    if found is None or step_V == 0.0 or found.rms_rad < BEHIND_STEPS * noise_of_all_rad(tests):
+    if found is None or found.rms_rad < BEHIND_STEPS * noise_of_all_rad(tests):
+        return []
+    plain = [test for test in tests if test.stage is None]
+    step_V = max((hidden_step_V(test, found.K_rad_s_V, found.rms_rad) for test in plain), default=0.0)
+    if step_V == 0.0:
         return []
     return [partial(by_steps, step_V=step_V, largest_V=largest_drive_V(tests))]
 

@@ -250,6 +250,18 @@ def test_a_drive_that_is_logged_in_coarse_steps_is_named_and_is_in_the_intervals
     )
 
 
+def test_steps_that_the_motor_got_leave_less_than_finer_ones_would() -> None:
+    """A drive in percent beside a velocity that was summed: f_c was not known, and is right within 1 %."""
+    some = np.random.default_rng(6)
+    t_s = np.linspace(0.0, 1200 * PERIOD_S, 1200, endpoint=False)
+    u_V = np.repeat(0.5 * some.integers(-16, 17, 200), some.integers(5, 40, 200))[:1200]
+    assert drive_step_V(TimeSeries(t_s, t_s, None, u_V)) == 0.5
+    y_rad = response(MOTOR, Frame(duration_s=float(t_s[-1])), (t_s, u_V), t_s, Pieces.one())
+    answer = answered((t_s, u_V, 0.01 * STEP_RAD * np.round((y_rad + 5e-4 * np.sin(2.0 * t_s)) / (0.01 * STEP_RAD))))
+    assert not any("in steps of" in reason for reason in answer.reasons), answer.reasons
+    assert right(answer, MOTOR, 0.01, "tau_s", "K_rad_s_V", "fc_V")
+
+
 def test_a_drive_that_is_another_in_each_of_many_rows_is_not_smoothed() -> None:
     """Two rows as one, with their mean drive, left six times as much; a low pass took it: tau could leave its u95."""
     t_s = np.linspace(0.0, 5000 * PERIOD_S, 5000, endpoint=False)
