@@ -131,8 +131,9 @@ def drive_step_V(test: TimeSeries) -> float:
 
 def hidden_step_V(test: TimeSeries, K_rad_s_V: float, rms_rad: float) -> float:
     """The step of the drive behind which the motor may have got finer ones, V; 0.0 where it leaves less than that."""
-    step_V, lasts_s = drive_step_V(test), float(np.ptp(test.t_s)) / max(1, np.count_nonzero(np.diff(test.u_V)))
-    return step_V if rms_rad > OF_WAY * abs(K_rad_s_V) * step_V * lasts_s else 0.0
+    step_V, changes = drive_step_V(test), int(np.count_nonzero(np.diff(test.u_V)))
+    way_rad = abs(K_rad_s_V) * step_V * float(np.ptp(test.t_s)) / max(1, changes)
+    return 0.0 if rms_rad < OF_WAY * way_rad else step_V
 
 
 def by_speed_limit(answer: Answer) -> Answer:
