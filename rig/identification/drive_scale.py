@@ -171,8 +171,8 @@ def _wider(half: float | None, more: float) -> float:
 
 
 def _graded(before: GradedNumber, value: float, half: float | None) -> GradedNumber:
-    share = math.inf if half is None or not math.isfinite(value) else half / abs(value)
     if before.grade == NOT_KNOWN:
         return before
+    share = math.inf if half is None or not math.isfinite(value) or value == 0.0 else half / abs(value)
     grade = next((grade for grade, most in GRADES.items() if share <= most), NOT_KNOWN)
     return GradedNumber(value=value if grade != NOT_KNOWN else None, u95=half, grade=grade)

@@ -22,7 +22,7 @@ from rig.identification.departures.laws import orders
 from rig.identification.departures.nuisances import pulls_apart
 from rig.identification.departures.outside import by_current, by_friction_waves, outside
 from rig.identification.departures.pieces import Coupling, Cut
-from rig.identification.drive_scale import by_filter, drive_step_V
+from rig.identification.drive_scale import by_filter, by_steps, drive_step_V
 from rig.identification.estimate import Estimate
 from rig.identification.identification import Identification
 from rig.identification.in_pieces import fit_in_pieces
@@ -248,6 +248,13 @@ def test_a_drive_that_is_logged_in_coarse_steps_is_named_and_is_in_the_intervals
     assert answer.u95 is not None and all(
         abs(getattr(answer, name) - getattr(MOTOR, name)) < answer.u95[name] for name in ("tau_s", "K_rad_s_V", "fc_V")
     )
+
+
+def test_a_friction_of_zero_behind_coarse_steps_is_not_known() -> None:
+    """A fit that ended at no friction ended in an exception."""
+    rough = GradedNumber(value=0.0, u95=0.1, grade="rough")
+    answer = Answer(verdict="ok", fc_V=0.0, u95={"fc_V": 0.1}, grade={"fc_V": rough})
+    assert (by_steps(answer, 1.0, 7.0).grade or {})["fc_V"].value is None
 
 
 def test_steps_that_the_motor_got_leave_less_than_finer_ones_would() -> None:
