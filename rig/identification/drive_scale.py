@@ -31,8 +31,9 @@ OF_FRICTION: Final = 3.0
 OF_FILTER: Final = 0.05
 # Of each number, where firmware limits the speed, by what the numbers of made logs were off
 OF_LIMIT: Final = {"tau_s": 0.05, "K_rad_s_V": 0.05, "fc_V": 0.15}
-# Of a step of the drive, that f_c may be off by, where drives are cut off: 0.6 at most in made logs
-OF_STEP: Final = 0.6
+# Of a step of the drive, that f_c may be off by, where drives are cut off: 0.6 at most in made logs. Residual over the
+# way of a step from one drive to the next, at least, where the motor got finer ones: 0.016 in 30 made logs
+OF_STEP, OF_WAY = 0.6, 0.01
 # Of a drive in steps: so few levels may be a relay's; from lowest to highest; places of levels, in steps; share of
 # changes by one step; levels of one that jumps, more; how the lengths of drives scatter, of their mean; digits of V
 FEWEST_LEVELS, MOST_STEPS, WHOLE, GOES_ON, JUMPS_TO, UNEVEN, DIGITS = 5, 66.0, 0.05, 0.8, 12, 0.25, 9
@@ -128,6 +129,13 @@ def drive_step_V(test: TimeSeries) -> float:
     return step_V if is_even and goes_on and is_free else 0.0
 
 
+def hidden_step_V(test: TimeSeries, K_rad_s_V: float, rms_rad: float) -> float:
+    """The step of the drive behind which the motor may have got finer ones, V; 0.0 where it leaves less than that."""
+    step_V, changes = drive_step_V(test), int(np.count_nonzero(np.diff(test.u_V)))
+    way_rad = abs(K_rad_s_V) * step_V * float(np.ptp(test.t_s)) / max(1, changes)
+    return 0.0 if rms_rad < OF_WAY * way_rad else step_V
+
+
 def by_speed_limit(answer: Answer) -> Answer:
     """The answer with what a limit of the speed in the firmware leaves unknown: when it holds no row says exactly."""
     reason = (
@@ -163,8 +171,8 @@ def _wider(half: float | None, more: float) -> float:
 
 
 def _graded(before: GradedNumber, value: float, half: float | None) -> GradedNumber:
-    share = math.inf if half is None or not math.isfinite(value) else half / abs(value)
     if before.grade == NOT_KNOWN:
         return before
+    share = math.inf if half is None or not math.isfinite(value) or value == 0.0 else half / abs(value)
     grade = next((grade for grade, most in GRADES.items() if share <= most), NOT_KNOWN)
     return GradedNumber(value=value if grade != NOT_KNOWN else None, u95=half, grade=grade)

@@ -16,7 +16,7 @@ from rig.identification.agreement import are_one_motor, disagreement, estimates_
 from rig.identification.breakaway import StaticFriction, breakaway
 from rig.identification.clipped_drive import clipped, limit_of
 from rig.identification.departures.laws import LEVEL_EACH
-from rig.identification.drive_scale import OF_FILTER, by_filter, by_own_loop, by_speed_limit, by_steps, drive_step_V
+from rig.identification.drive_scale import OF_FILTER, by_filter, by_own_loop, by_speed_limit, by_steps, hidden_step_V
 from rig.identification.estimate import VERDICTS, Estimate
 from rig.identification.estimator import Estimator
 from rig.identification.friction_map import FrictionMap, friction_map
@@ -317,27 +317,35 @@ def _takes_change(data: Measurements, estimate: Estimate | None) -> bool:
         return False
     try:
         limit = limit_of(data.tests, estimate)
-        smoothed = smoothings(data.tests, estimate) if math.isinf(limit.drive_V) else {}
+        smoothed = smoothings(data.tests, estimate) if math.isinf(limit.drive_V) else []
     except IdentifyError:
         return False  # too short for pieces
     if math.isfinite(limit.drive_V):
         data.take(partial(clipped, limit=limit), limit.in_words())
         data.unsure += [by_speed_limit] if limit.from_rad_s > 0.0 else []
-    told = {name: one for name, one in smoothed.items() if one.left < 1.0}
-    if told:
-        period_s, names = max(test.period_s for test in data.tests), {test.name for test in data.tests}
-        words = [("" if told.keys() == names else f"{name}: ") + one.in_words(period_s) for name, one in told.items()]
-        data.take(lambda test: told[test.name].undone(test) if test.name in told else test, *dict.fromkeys(words))
-    worst = max(smoothed.values(), key=lambda one: max(OF_FILTER, one.left) * one.late_s, default=None)
+    undone = {id(test): one for test, one in zip(data.tests, smoothed, strict=False) if one and one.left < 1.0}
+    if undone:
+        period_s, is_alike = max(test.period_s for test in data.tests), len(set(smoothed)) == 1
+        words = [
+            ("" if is_alike else f"{name}: ") + undone[id(test)].in_words(period_s)
+            for test, name in zip(data.tests, data.recording_of, strict=True)
+            if id(test) in undone
+        ]
+        data.take(lambda test: undone[id(test)].undone(test) if id(test) in undone else test, *dict.fromkeys(words))
+    told = [one for one in smoothed if one is not None]
+    worst = max(told, key=lambda one: max(OF_FILTER, one.left) * one.late_s, default=None)
     if worst is not None and worst.late_s > 0.0:
         data.unsure.append(partial(by_filter, lag_s=worst.late_s, left=worst.left))
-    return math.isfinite(limit.drive_V) or bool(told)
+    return math.isfinite(limit.drive_V) or bool(undone)
 
 
 def _by_steps(tests: Sequence[TimeSeries], found: Estimate | None) -> list[Callable[[Answer], Answer]]:
     """What steps of the drive leave unknown, where the motor leaves more than noise: else they are what it got."""
-    step_V = max((drive_step_V(test) for test in tests if test.stage is None), default=0.0)
-    if found is None or step_V == 0.0 or found.rms_rad < BEHIND_STEPS * noise_of_all_rad(tests):
+    if found is None or found.rms_rad < BEHIND_STEPS * noise_of_all_rad(tests):
+        return []
+    plain = [test for test in tests if test.stage is None]
+    step_V = max((hidden_step_V(test, found.K_rad_s_V, found.rms_rad) for test in plain), default=0.0)
+    if step_V == 0.0:
         return []
     return [partial(by_steps, step_V=step_V, largest_V=largest_drive_V(tests))]
 

@@ -116,15 +116,15 @@ class Smoothing(NamedTuple):
         return f"the {self.column} is low-passed by {by}, as {SMOOTHED[self.column]} is: undone before the fit"
 
 
-def smoothings(tests: Sequence[TimeSeries], plain: Estimate) -> dict[str, Smoothing]:
-    """How a column of each file was smoothed, by its name: of all files alike, else of each by itself."""
-    of_all, names = smoothing(tests, plain), list(dict.fromkeys(test.name for test in tests))
-    if len(names) > 1 and (of_all is None or of_all.left == 1.0):
-        each = {name: smoothing([test for test in tests if test.name == name], plain) for name in names}
-        told = {name: one for name, one in each.items() if one is not None and one.left < 1.0}
-        if told:
+def smoothings(tests: Sequence[TimeSeries], plain: Estimate) -> list[Smoothing | None]:
+    """How a column of each test was smoothed: of all alike, else of each by itself, where that is told."""
+    of_all = smoothing(tests, plain)
+    if len(tests) > 1 and (of_all is None or of_all.left == 1.0):
+        each = [smoothing([test], plain) for test in tests]
+        told = [one if one is not None and one.left < 1.0 else None for one in each]
+        if any(told):
             return told
-    return {} if of_all is None else dict.fromkeys(names, of_all)
+    return [of_all] * len(tests)
 
 
 def smoothing(tests: Sequence[TimeSeries], plain: Estimate) -> Smoothing | None:

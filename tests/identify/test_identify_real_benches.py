@@ -22,7 +22,7 @@ from rig.identification.departures.laws import orders
 from rig.identification.departures.nuisances import pulls_apart
 from rig.identification.departures.outside import by_current, by_friction_waves, outside
 from rig.identification.departures.pieces import Coupling, Cut
-from rig.identification.drive_scale import by_filter, drive_step_V
+from rig.identification.drive_scale import by_filter, by_steps, drive_step_V
 from rig.identification.estimate import Estimate
 from rig.identification.identification import Identification
 from rig.identification.in_pieces import fit_in_pieces
@@ -217,13 +217,13 @@ def test_a_column_that_was_smoothed_or_came_late_is_named_and_undone(how: str, s
 
 
 def test_of_two_files_the_one_that_was_smoothed_is_undone() -> None:
-    """Together they show no smoothing, and tau was 48 % off beside 14 %."""
+    """Together they show no smoothing, and tau was 48 % off beside 14 %; so it was where both have one name."""
     sharp, (t_s, u_V, y_rad) = recorded(MOTOR, (3.0, 5.0, 7.0), rows=800), recorded(MOTOR, (3.0, 5.0, 7.0), seed=2)
     keep = math.exp(-PERIOD_S / 0.03)
     for k in range(1, t_s.size):
         y_rad[k] = keep * y_rad[k - 1] + (1.0 - keep) * y_rad[k]
-    found = found_in(sharp, (t_s, u_V, y_rad))
-    assert len(found.changes) == 1 and ": the reading is low-passed by 30" in found.changes[0], found.changes
+    found = identify([from_columns(Path("mon/log.csv"), *sharp), from_columns(Path("tue/log.csv"), t_s, u_V, y_rad)])
+    assert len(found.changes) == 1 and "tue/log.csv: the reading is low-passed by 30" in found.changes[0], found.changes
     assert found.answer is not None and right(found.answer, MOTOR, 0.025, "tau_s", "K_rad_s_V", "fc_V")
 
 
@@ -248,6 +248,25 @@ def test_a_drive_that_is_logged_in_coarse_steps_is_named_and_is_in_the_intervals
     assert answer.u95 is not None and all(
         abs(getattr(answer, name) - getattr(MOTOR, name)) < answer.u95[name] for name in ("tau_s", "K_rad_s_V", "fc_V")
     )
+
+
+def test_a_friction_of_zero_behind_coarse_steps_is_not_known() -> None:
+    """A fit that ended at no friction ended in an exception."""
+    rough = GradedNumber(value=0.0, u95=0.1, grade="rough")
+    answer = Answer(verdict="ok", fc_V=0.0, u95={"fc_V": 0.1}, grade={"fc_V": rough})
+    assert (by_steps(answer, 1.0, 7.0).grade or {})["fc_V"].value is None
+
+
+def test_steps_that_the_motor_got_leave_less_than_finer_ones_would() -> None:
+    """A drive in percent beside a velocity that was summed: f_c was not known, and is right within 1 %."""
+    some = np.random.default_rng(6)
+    t_s = np.linspace(0.0, 1200 * PERIOD_S, 1200, endpoint=False)
+    u_V = np.repeat(0.5 * some.integers(-16, 17, 200), some.integers(5, 40, 200))[:1200]
+    assert drive_step_V(TimeSeries(t_s, t_s, None, u_V)) == 0.5
+    y_rad = response(MOTOR, Frame(duration_s=float(t_s[-1])), (t_s, u_V), t_s, Pieces.one())
+    answer = answered((t_s, u_V, 0.01 * STEP_RAD * np.round((y_rad + 5e-4 * np.sin(2.0 * t_s)) / (0.01 * STEP_RAD))))
+    assert not any("in steps of" in reason for reason in answer.reasons), answer.reasons
+    assert right(answer, MOTOR, 0.01, "tau_s", "K_rad_s_V", "fc_V")
 
 
 def test_a_drive_that_is_another_in_each_of_many_rows_is_not_smoothed() -> None:
