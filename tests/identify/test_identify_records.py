@@ -171,6 +171,22 @@ def test_a_run_that_ended_in_the_gain_search_gives_the_search(run: Recording) ->
         identify([run.select(0, run.stage_rows("breakaway").stop - 1)])
 
 
+@pytest.mark.parametrize(("share", "beside"), [(1.0, 2), (1.3, 0)])
+def test_of_runs_that_do_not_agree_the_tests_alone_are_searched_for_laws(
+    run: Recording, share: float, beside: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside searches no level of friction in each is looked for: K was 38 % off beside 16 %, of two days."""
+    given: list[int] = []
+
+    def law(*asked: Any, **_: Any) -> None:
+        given.append(len(asked[4]))
+        raise IdentifyError("enough", "none")
+
+    monkeypatch.setattr("rig.identification.identification.motor_law", law)
+    identify([run, replace(run, u_V=share * run.u_V)], LED_BY)
+    assert given == [beside]
+
+
 def test_an_unknown_delay_is_that_of_every_record() -> None:
     """Records that kept the reported times would bend the fit, or be left out as another motor's."""
     t_s = 0.01 * np.arange(30.0)
