@@ -171,7 +171,7 @@ def test_a_run_that_ended_in_the_gain_search_gives_the_search(run: Recording) ->
         identify([run.select(0, run.stage_rows("breakaway").stop - 1)])
 
 
-@pytest.mark.parametrize(("share", "beside"), [(1.0, 2), (1.3, 0)])
+@pytest.mark.parametrize(("share", "beside"), [(1.0, 4), (1.3, 0)])
 def test_of_runs_that_do_not_agree_the_tests_alone_are_searched_for_laws(
     run: Recording, share: float, beside: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
