@@ -210,7 +210,12 @@ class _Stoppable:
 
 
 def _ask(question: str, *, yes: bool) -> None:
-    if not yes and not click.confirm(question):
+    try:
+        agreed = yes or click.confirm(question)
+    except click.Abort:  # nobody is there: a pipe, or Ctrl-C
+        click.echo()
+        fail("nobody answered; nothing was changed", "answer y at a terminal; in a pipe say `--yes`")
+    if not agreed:
         fail("nothing was changed")
 
 

@@ -57,9 +57,10 @@ def test_all_registers_are_shown(port: str) -> None:
     assert "operating_mode" in said("servo", "show", port, "1")
 
 
-def test_who_says_no_changes_nothing(port: str) -> None:
-    done = CliRunner().invoke(main, ["servo", "baud", port, "1", "57600"], input="n\n")
-    assert done.exit_code == 2 and "nothing was changed" in done.output
+@pytest.mark.parametrize(("typed", "words"), [("n\n", ""), ("", "in a pipe say `--yes`")])
+def test_who_says_no_or_nothing_changes_nothing(typed: str, words: str, port: str) -> None:
+    done = CliRunner().invoke(main, ["servo", "baud", port, "1", "57600"], input=typed)
+    assert done.exit_code == 2 and "nothing was changed" in done.output and words in done.output
     assert json.loads(said("servo", "show", port, "1", "--json"))["registers"]["baud_rate"] == 3
 
 
