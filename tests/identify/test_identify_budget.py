@@ -24,6 +24,7 @@ from rig.identification.departures import DEPARTURES
 from rig.identification.departures.budget import COVERAGE, PRESENT, Budget, Entry, Hidden, Shifts, absolute, instead_of
 from rig.identification.departures.departure import Departure
 from rig.identification.departures.in_place import InPlace
+from rig.identification.departures.laws import SOFT_COUPLING
 from rig.identification.departures.nuisances import Nuisance
 from rig.identification.departures.profile import Profile
 from rig.identification.identification import Identification, other_times_explain
@@ -212,6 +213,13 @@ def test_three_laws_that_hide_each_other_count_though_each_alone_is_excluded() -
     together = entries.pop("laws that hide each other")
     assert set(together.laws) == {"drag", "sag", "stribeck"}
     assert all(together.tau_s > 10.0 * entry.tau_s for entry in entries.values())
+
+
+def test_a_soft_coupling_is_more_likely_than_other_laws() -> None:
+    shifts = Shifts(np.ones(3), np.full((3, 1), 0.1), np.zeros((1, 1)), np.zeros(1), np.array([True]))
+    [entry] = Hidden.of(shifts, [nuisance(SOFT_COUPLING, 0)]).lines()
+    odds = 4.0 * PRESENT / (1.0 - PRESENT)
+    assert entry.tau_s == pytest.approx(COVERAGE * math.sqrt(odds / (1.0 + odds)) * 0.1)
 
 
 def test_a_law_with_several_starts_has_its_odds_once() -> None:

@@ -13,7 +13,8 @@ typedef struct {
 } plain;
 
 /* `timing`: period, delay of the drive, longest step; `loop`: whether it is closed, its gain, its goal. Each row of `out`
-   is time, reading and drive. Returns the mean friction while the shaft turns. */
+   is time, reading and drive. Returns the mean friction while the shaft turns, without what goes over the
+   angle. */
 double outside_record(const plain *m, const outside *o, const double timing[3], const double loop[3], const double *levels,
                       const double *force_V, int64_t rows, double *out)
 {
@@ -48,7 +49,8 @@ double outside_record(const plain *m, const outside *o, const double timing[3], 
             const double middle = y + 0.5 * h * v;
             const double force = o->force_V * sin(o->force_per_rad * middle + o->force_phase);
             const double wave = 1.0 + o->share * sin(o->share_per_rad * middle + o->share_phase);
-            const double level = m->fc_V * (1.0 - o->warm * warmth) * wave + o->by_load * fabs(force);
+            const double flat = m->fc_V * (1.0 - o->warm * warmth) + o->by_load * fabs(force);
+            const double level = flat + m->fc_V * (1.0 - o->warm * warmth) * (wave - 1.0);
             const double current = u - v / K;
             double push = u * current > 0.0 ? u * (1.0 - o->supply * fabs(current) / m->largest_V) : u;
             push += m->bias_V - force + force_V[k];
@@ -67,7 +69,7 @@ double outside_record(const plain *m, const outside *o, const double timing[3], 
                 }
                 sign = push > 0.0 ? 1.0 : -1.0;
             }
-            total += level;
+            total += flat;
             count++;
             double next_v = v + (K * (push - sign * level) - v) * -expm1(-h / tau);
             if (v * next_v < 0.0 || (v != 0.0 && next_v * sign < 0.0)) {

@@ -184,7 +184,10 @@ def bench_of(rng: np.random.Generator, kinds: Sequence[str], sensor: str) -> Ben
 
 
 def recorded(bench: Bench, drive: str, rng: np.random.Generator, name: str) -> tuple[Recording, tuple[float, ...]]:
-    """One record, and what is true of tau, K and the mean friction in it."""
+    """One record, and what is true of tau, K and the friction in it.
+
+    As ``rig`` defines f_c, it is the mean over the travel of what goes over the angle, and over time of all else.
+    """
     rows = round(bench.duration_s / bench.period_s)
     number = DRIVES.index(drive)
     levels = np.ascontiguousarray(_levels(bench, drive, rng, rows), dtype=np.float64)
@@ -196,7 +199,7 @@ def recorded(bench: Bench, drive: str, rng: np.random.Generator, name: str) -> t
     gain = rng.uniform(1.0, 4.0) * bench.largest_V / max(goal_rad, 1e-6) / 2.0
     out = np.empty((rows, 3))
     pushed_V = bench.outside.random_V * force
-    friction_V = _LIBRARY.outside_record(
+    flat_V = _LIBRARY.outside_record(
         row_of(bench.tau_s, bench.K_rad_s_V, bench.fc_V, bench.bias_V, bench.largest_V),
         row_of(*asdict(bench.outside).values()),
         row_of(bench.period_s, 0.3 * bench.period_s, STEP_S),
@@ -210,8 +213,16 @@ def recorded(bench: Bench, drive: str, rng: np.random.Generator, name: str) -> t
     if bench.step_rad > 0.0:
         y_rad = bench.step_rad * np.floor(y_rad / bench.step_rad + 0.5)
     gain_mean = 1.0 - 0.5 * bench.outside.warm * _mean_warm(bench)
-    truth = (bench.tau_s * gain_mean, bench.K_rad_s_V * gain_mean, friction_V)
+    level_V = bench.fc_V * (1.0 - bench.outside.warm * _mean_warm(bench))
+    truth = (bench.tau_s * gain_mean, bench.K_rad_s_V * gain_mean, flat_V + level_V * _mean_wave(bench, out[:, 1]))
     return replace(from_columns(Path(name), out[:, 0], out[:, 2], y_rad), units_stated=True), truth
+
+
+def _mean_wave(bench: Bench, y_rad: Array) -> float:
+    """Mean over the travel of what friction goes up and down by over the angle, relative."""
+    made, ends = bench.outside, np.array([y_rad.min(), y_rad.max()])
+    cosines = np.cos(made.share_per_rad * ends + made.share_phase)
+    return made.share * float(cosines[0] - cosines[1]) / (made.share_per_rad * max(float(np.ptp(ends)), 1e-12))
 
 
 def _mean_warm(bench: Bench) -> float:

@@ -294,7 +294,7 @@ def _sets(
 ) -> Iterator[tuple[NDArray[np.int64], Array, list[tuple[str, ...]]]]:
     """All sets of one, two and three laws, those with as many columns together; none of one law that is ``known``.
 
-    Each set's columns (m, d), its odds beforehand (m,), ``before`` for each law, and its laws.
+    Each set's columns (m, d), its odds beforehand (m,), ``before`` for each law that is no oftener, and its laws.
     """
     starts: dict[tuple[str, int], list[Nuisance]] = defaultdict(list)
     for one in nuisances:
@@ -308,7 +308,7 @@ def _sets(
                 continue
             which = np.indices([len(one) for one in each]).reshape(count, many)
             columns = [np.array([[*one.columns] for one in of])[k] for of, k in zip(each, which, strict=True)]
-            odds = math.prod(before / of[0].starts for of in each)
+            odds = math.prod(before * of[0].law.often / of[0].starts for of in each)
             alike[sum(size for _, size in keys)].append((np.hstack(columns), np.full(many, odds), [laws] * many))
     for every in alike.values():
         at, prior, laws_of = zip(*every, strict=True)

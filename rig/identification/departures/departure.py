@@ -77,6 +77,7 @@ class Departure:
     both_ways        whether only a shaft that turns both ways can show it
     beyond           gain that it must bring, beyond Schwarz's criterion
     may_hide         whether it is a line of the budget where the tests neither show nor exclude it
+    often            how many times as likely as other laws it is beforehand
     over_position    whether it goes with the angle: such a law needs positions that are angles, finely sampled
     numbers          fields of ``RealMotor`` that are 0 without it; its size is their root sum of squares
     shape            its further fields, fitted with it; they have no effect while ``numbers`` are 0
@@ -101,6 +102,7 @@ class Departure:
     both_ways: bool = False
     beyond: float = 0.0
     may_hide: bool = True
+    often: float = 1.0
     over_position: bool = False
     numbers: tuple[str, ...] = ()
     shape: tuple[str, ...] = ()

@@ -229,6 +229,7 @@ BEND: Final = Departure(
 SOFT_COUPLING: Final = Departure(  # its size is one over the square of its frequency
     "soft_coupling", "soft coupling", "a belt, or a long shaft?", lambda bench: FREQUENCIES_RAD_S[0] ** -2,
     "quick reversals, with rows of a few milliseconds", numbers=("soft_coupling_s2",), unit="s2", one_sided=True,
+    often=4.0,  # what turns with a motor hangs on a belt, a gear or a shaft
 )  # fmt: skip
 FRICTION_WAVE: Final = Departure(
     "friction_wave", "friction over position with a period of its own", "a gear, a cam or a cable?", _wave_V, _SWEEPS,
