@@ -30,6 +30,8 @@ EACH = {
     "drift": {"drift": 0.1},
     "load_friction": {"load_friction": 0.2, "load_outside": 0.6, "viscous_share": 0.15},
     "source": {"source_per_V2": 0.02},
+    "runs_free": {"runs_free": 0.7},
+    "no_brake": {"no_brake": 0.6},
 }  # fmt: skip
 MIXED = {
     "a loaded arm on a worn gear": ("force_over_position", "friction_over_position", "backlash", "drift"),
@@ -38,8 +40,9 @@ MIXED = {
     "a stepper as a motor": ("cogging", "drag", "lag", "static"),
     "bristles in a gear": ("bristle", "stribeck", "backlash", "friction_over_position", "lag"),
     "bristles on cogs": ("bristle", "cogging", "viscous_by_direction", "drag", "drift"),
+    "a bridge without a brake": ("runs_free", "no_brake", "dead_band", "source", "load_friction"),
     "an arm on a servo": ("load_friction", "source", "force_over_position"),
-    "everything rigid": tuple(name for name in PARTS if name != "bristle"),
+    "everything rigid": tuple(name for name in PARTS if name not in ("bristle", "runs_free", "no_brake")),
 }
 CASES = {name: (name,) for name in EACH} | MIXED
 
@@ -50,11 +53,11 @@ def with_parts(*names: str) -> RealMotor:
 
 
 def relay(duration_s: float, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Edges and levels of a drive as two relays make it, with drives of 0 that let the motor come to rest."""
+    """Edges and levels of a drive as two relays make it, with drives of 0 and small ones in between."""
     random = np.random.default_rng(seed)
     edges, levels, at, sign = [0.0], [0.0], 0.05, 1.0
     while at < duration_s:
-        for level, lasts in ((1.9, 0.14), (-0.3 if random.uniform() < 0.3 else 0.2, 0.16)):
+        for level, lasts in ((1.9, 0.14), (0.0, 0.03), (-0.3 if random.uniform() < 0.3 else 0.2, 0.16)):
             edges.append(at)
             levels.append(sign * level * random.uniform(0.9, 1.1))
             at += lasts * random.uniform(0.7, 1.3)

@@ -10,7 +10,7 @@ static const double LEAST_BEND_RAD = 1e-4;  /* bristles slide after at least thi
 static const double SLIDING = 1e-8;         /* share of the level that bristles which slide may still lack */
 static const double LEVEL_CHANGES = 60.0;   /* what a level that changes along the way costs, per change within a bend */
 static const double BALANCED = 1e-12;       /* of K times 1 V: bristles that pull less than this rest */
-static const double TURNED_V = 1e-7;        /* a torque beyond it on either side has turned within a step */
+static const double TURNED_V = sizeof(double) < 8u ? 1e-7 : 1e-9; /* a torque beyond it on either side has turned within a step */
 static const double PRESSED_S = 1e-3;       /* a motor pressed against a stop looks this often whether it still is */
 enum { ROUNDS = 60 };                       /* of the search for an event, which needs about five */
 /* Where double has four bytes, as on an AVR, rounding is coarser: an event within its reach, and longer steps, will do. */
@@ -53,21 +53,39 @@ static motor motor_of(const real_motor *numbers)
     m.turns = m.force_sin_V != 0.0 || m.force_cos_V != 0.0 || m.friction_sin_V != 0.0 || m.friction_cos_V != 0.0;
     m.cogs = m.cogging_sin_V != 0.0 || m.cogging_cos_V != 0.0;
     m.falls = m.stribeck_V != 0.0 && m.stribeck_rad_s > 0.0;
-    m.transmits = m.load_friction != 0.0 || m.source_per_V2 != 0.0;
+    m.transmits = m.load_friction != 0.0 || m.source_per_V2 != 0.0 || m.runs_free != 0.0 || m.no_brake != 0.0;
     m.mean_cosine = m.turns ? sin(m.half_travel_rad) / m.half_travel_rad : 0.0;
     return m;
 }
 
-/* The part of 1/K that is back-EMF, V; and the motor's torque, V, at the drive `w`, which a supply with a resistance lets
- * the current lower: the bridge connects it for the share w of the time. */
+/* The part of 1/K that is back-EMF, V. */
 static double back_emf(const motor *m, double v)
 {
     return (1.0 - m->viscous_share) * v / m->K_rad_s_V;
 }
 
+/* What a bridge passes of the torque at a drive of 0, where it may let the motor run free, and against its drive, where it
+ * may have no way for a current. Beside a lag, which is a current that lasts, it passes all. */
+typedef struct {
+    double idle, against;
+} bridge;
+
+static bridge passed(const motor *m, double w, double v)
+{
+    bridge all = {1.0, 1.0};
+    if (m->lag_s <= 0.0 && (m->runs_free != 0.0 || m->no_brake != 0.0)) {
+        all.idle = w == 0.0 ? 1.0 - m->runs_free : 1.0;
+        all.against = w * (w - back_emf(m, v)) <= 0.0 ? 1.0 - m->no_brake : 1.0;
+    }
+    return all;
+}
+
+/* The motor's torque, V, at the drive `w`, which a supply with a resistance lets the current lower: the bridge connects it
+ * for the share w of the time. */
 static double torque(const motor *m, double w, double v)
 {
-    return (w - back_emf(m, v)) / (1.0 + m->source_per_V2 * w * w);
+    const bridge share = passed(m, w, v);
+    return share.idle * share.against * (w - back_emf(m, v)) / (1.0 + m->source_per_V2 * w * w);
 }
 
 /* A drive behind its dead band, up to the one that a sagging stage gives the most of: beyond it gives no less. */
@@ -124,10 +142,15 @@ static double force(const motor *m, double y, wave here)
     return total;
 }
 
-/* Torque that load friction sees, at the drive `w`. */
+/* Torque that load friction sees, at the drive `w`; and what has another law of motion where it turns. */
 static double transmitted(const motor *m, double w, double v, double y, wave here)
 {
     return torque(m, w, v) + m->load_outside * force(m, y, here);
+}
+
+static double turning(const motor *m, const real_state *at, wave here)
+{
+    return m->load_friction != 0.0 ? transmitted(m, at->w, at->v, at->y, here) : at->w - back_emf(m, at->v);
 }
 
 static double level(const motor *m, double speed, wave here, double t_s)
@@ -435,23 +458,23 @@ static void rest(const motor *m, const real_state *at, double staged_V, double t
     s->end.w = lagged(m, staged_V, at->w, h);
 }
 
-/* Ends a step of `h` s, which load friction sees, where the torque turns; returns how long it then is. */
+/* Ends a step of `h` s, of a motor whose law changes with the torque, where that turns; returns how long it then is. */
 static double until_torque_turns(const motor *m, double sign, const real_state *at, double staged_V, double t_s, double h, step *s)
 {
-    if (m->load_friction == 0.0) {
+    if (m->load_friction == 0.0 && m->no_brake == 0.0) {
         return h;
     }
     double low = 0.0;
     double high = h;
-    double first = transmitted(m, at->w, at->v, at->y, s->in.here1);
-    double last = transmitted(m, s->end.w, s->end.v, s->end.y, wave_at(m, s->end.y));
+    double first = turning(m, at, s->in.here1);
+    double last = turning(m, &s->end, wave_at(m, s->end.y));
     if (fabs(first) <= TURNED_V || fabs(last) <= TURNED_V || (first > 0.0) == (last > 0.0)) {
         return h;
     }
     for (int i = 0; i < ROUNDS && fabs(last) > TURNED_V; i++) { /* friction is continuous there: near it will do */
         h = low + (high - low) * least(most(first / (first - last), 0.05), 0.95);
         s->end = moved(m, sign, at, staged_V, t_s, h, &s->in);
-        const double now = transmitted(m, s->end.w, s->end.v, s->end.y, wave_at(m, s->end.y));
+        const double now = turning(m, &s->end, wave_at(m, s->end.y));
         if (fabs(now) <= TURNED_V) {
             break;
         }

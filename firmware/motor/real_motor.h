@@ -3,16 +3,17 @@
  *     tau dv/dt + v = K (w + bias - G(y) - F - beta |v| - c v |v|),    dy/dt = v,    reading = S(x)
  *
  * w is the drive behind its stage, G a force over the position, F the friction, x the position behind the backlash, and
- * S the sensor's linearity. A part whose numbers are 0 is not there. With load friction or a supply that has a resistance
- * the torque takes the place of w:
+ * S the sensor's linearity. A part whose numbers are 0 is not there. With load friction, a supply that has a resistance or
+ * a bridge that does not brake the torque takes the place of w:
  *
  *     p + (1 - r) v/K,    p = (w - (1 - r) v/K) / (1 + rho w^2),    F larger by L |p + l G|
  *
- * where the share r of 1/K is viscous friction, and the rest is back-EMF.
+ * where the share r of 1/K is viscous friction, and the rest is back-EMF. A bridge passes (1 - f) p where w is
+ * 0, and (1 - b) p where p w <= 0, but beside a lag.
  *
  * Between two events an exponential Runge-Kutta method of fourth order (Cox and Matthews, J. Comput. Phys. 176, 2002)
  * takes v and p = y + tau v. It is exact where the right side is constant, as it is for a motor without parts. An event
- * is an edge of the drive, a reversal, a shaft that breaks away from rest, or a torque that load friction sees turn.
+ * is an edge of the drive, a reversal, a shaft that breaks away from rest, or a torque that turns where a law sees it.
  */
 #ifndef RIG_REAL_MOTOR_H
 #define RIG_REAL_MOTOR_H
@@ -52,7 +53,9 @@
     NUMBER(load_friction, PART, 0.0, 1.0) \
     NUMBER(load_outside, PART, 0.0, INFINITY) \
     NUMBER(viscous_share, PART, 0.0, 1.0) \
-    NUMBER(source_per_V2, PART, 0.0, INFINITY)
+    NUMBER(source_per_V2, PART, 0.0, INFINITY) \
+    NUMBER(runs_free, PART, 0.0, 1.2) \
+    NUMBER(no_brake, PART, 0.0, 1.2)
 
 /* The last four are the frame that parts over position and time refer to: constants of a fit. `delay_s` is for those who
  * know when a drive acts: no function here applies it but the readings of a record. */

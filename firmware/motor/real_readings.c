@@ -60,35 +60,46 @@ static void level_slopes(const motor *m, double speed, wave at, double t, double
 static const int OF_LEVEL[] = {AT_fc_V, AT_drift, AT_friction_sin_V, AT_friction_cos_V, AT_stribeck_V, AT_stribeck_rad_s};
 enum { LEVELS = sizeof OF_LEVEL / sizeof OF_LEVEL[0] };
 
-static double side_of(const motor *m, const real_state *at, wave here)
+/* The sign of the torque that load friction sees, and what the bridge passes of it. */
+typedef struct {
+    double sign;
+    bridge passed;
+} torque_side;
+
+static torque_side side_of(const motor *m, const real_state *at, wave here)
 {
-    return transmitted(m, at->w, at->v, at->y, here) > 0.0 ? 1.0 : -1.0;
+    return (torque_side){transmitted(m, at->w, at->v, at->y, here) > 0.0 ? 1.0 : -1.0, passed(m, at->w, at->v)};
 }
 
-/* Adds to `a` and `by` what load friction and the supply's resistance change, where the torque has the sign `side`; returns
- * the derivative by the force. */
-static double load_slopes(const motor *m, double sign, double side, const real_state *at, wave here, double *a, by_state *by)
+/* Adds to `a` and `by` what load friction, the supply's resistance and the bridge change, where the torque is on a `side`;
+ * returns the derivative by the force. */
+static double load_slopes(const motor *m, double sign, torque_side side, const real_state *at, wave here, double *a, by_state *by)
 {
     const double gain = m->K_rad_s_V;
     const double w = at->w;
     const double back = back_emf(m, at->v);
-    const double share = 1.0 / (1.0 + m->source_per_V2 * w * w);
+    const double by_supply = 1.0 / (1.0 + m->source_per_V2 * w * w);
+    const double idle = side.passed.idle;
+    const double against = side.passed.against;
+    const double share = idle * against * by_supply;
     const double seen = transmitted(m, w, at->v, at->y, here);
-    const double load = side * sign * m->load_friction;
-    const double passed = 1.0 - load; /* of a change of the torque */
-    by->aw = gain * passed * share * (1.0 - 2.0 * m->source_per_V2 * w * (w - back) * share);
-    by->av += (1.0 - m->viscous_share) * (1.0 - passed * share);
-    a[AT_K_rad_s_V] += back * (passed * share - 1.0);
+    const double load = side.sign * sign * m->load_friction;
+    const double left = 1.0 - load; /* of a change of the torque */
+    by->aw = gain * left * share * (1.0 - 2.0 * m->source_per_V2 * w * (w - back) * by_supply);
+    by->av += (1.0 - m->viscous_share) * (1.0 - left * share);
+    a[AT_K_rad_s_V] += back * (left * share - 1.0);
     a[AT_load_friction] = -gain * sign * fabs(seen);
     a[AT_load_outside] = -gain * load * force(m, at->y, here);
-    a[AT_viscous_share] = at->v * (passed * share - 1.0);
-    a[AT_source_per_V2] = -gain * passed * (w - back) * w * w * share * share;
+    a[AT_viscous_share] = at->v * (left * share - 1.0);
+    a[AT_source_per_V2] = -gain * left * (w - back) * w * w * share * by_supply;
+    a[AT_runs_free] = idle != 1.0 ? -gain * left * (w - back) * against * by_supply : 0.0;
+    a[AT_no_brake] = against != 1.0 ? -gain * left * (w - back) * idle * by_supply : 0.0;
     return -gain * (1.0 + load * m->load_outside);
 }
 
 /* Fills two rows with the derivatives of the target velocity and of the bristles' rate at a stage, where the target
- * velocity is `aim`, and the torque has the sign `side`. */
-static by_state right_sides(const motor *m, const slopes *d, double sign, double side, const real_state *at, wave here, double t, double aim, int stage)
+ * velocity is `aim`, and the torque is on a `side`. */
+static by_state right_sides(const motor *m, const slopes *d, double sign, torque_side side, const real_state *at, wave here, double t, double aim, int stage)
 {
     double *const a = d->stage[2 * stage];
     double *const r = d->stage[2 * stage + 1];
@@ -288,7 +299,7 @@ static void through(const motor *restrict m, const slopes *d, const real_state *
     const real_state at2 = {s->v2, s->y2, s->f2, middle, 0.0};
     const real_state at3 = {s->v3, s->y3, s->f3, middle, 0.0};
     const real_state at4 = {s->v4, s->y4, s->f4, now->end.w, 0.0};
-    const double side = side_of(m, &at2, s->here2); /* of the whole step, which ends where the torque turns */
+    const torque_side side = side_of(m, &at2, s->here2); /* of the whole step, which ends where the torque turns */
     const by_state d1 = right_sides(m, d, now->sign, side, at, s->here1, t, s->a1, 0);
     const by_state d2 = right_sides(m, d, now->sign, side, &at2, s->here2, t + 0.5 * h, s->a2, 1);
     const by_state d3 = right_sides(m, d, now->sign, side, &at3, s->here3, t + 0.5 * h, s->a3, 2);

@@ -167,6 +167,20 @@ class RealMotor(NamedTuple):
         float,
         Number("1/V2", "rho: torque p = (w - (1 - r) v/K) / (1 + rho w^2)", ("source",), "rho", least=0.0, steers=True),
     ] = 0.0
+    runs_free: Annotated[
+        float,
+        Number(
+            "1", "f: share of the torque p that is missing at a drive of 0", ("runs_free",), "f", least=0.0, below=1.2,
+            steers=True,
+        ),
+    ] = 0.0  # fmt: skip
+    no_brake: Annotated[
+        float,
+        Number(
+            "1", "b: share that is missing of a torque p against the drive, or without one", ("no_brake",), "b",
+            least=0.0, below=1.2, steers=True,
+        ),
+    ] = 0.0  # fmt: skip
 
 
 class Frame(NamedTuple):

@@ -35,7 +35,7 @@ from rig.identification.side_by_side import on_all_cores
 from rig.identification.smoothing import smoothings
 from rig.identification.stroke_delay import strokes_delay
 from rig.identification.time_stamps import drives_stand_late, stamps_off_by, with_stamps_of
-from rig.identification.verdict import by_prediction, largest_drive_V
+from rig.identification.verdict import by_prediction, largest_drive_V, reserved
 from rig.model.real_motor import FramedMotor
 from rig.run_folder.recording.curves import Curves
 from rig.run_folder.recording.errors import IdentifyError
@@ -560,7 +560,7 @@ def _add_motor_law(
         if not reservations or not (method == LEADING or estimate.verdict == "ok"):
             continue
         if law.instead_of(estimate, largest_V) is None:
-            found.estimates[method] = law.reserved(estimate, reservations)
+            found.estimates[method] = reserved(estimate, reservations)
         else:  # the law is the cause, so it comes first; what it explains is left out
             others = _said(disagreement(each)) if law.explains else estimate.reasons
             found.estimates[method] = replace(estimate, reasons=()).judged("doubtful", *reservations, *others)

@@ -24,9 +24,6 @@ f_c smaller, for u - d - s u^2 is (1 - 2 s d) u' - s u'^2 with u' = u - d, but f
 Of a record with one size of drive, which acts as a share of itself, tau is known, and K times that share, and K f_c:
 speeds that it drives to, reversals and coasting have nothing else in them. So no record of that kind shows a dead band,
 or a stage that gives less, and K and f_c are as uncertain as that share.
-
-Behind a bridge that lets it run free at 0 V a motor has another tau there. Where it leaves far less of the rows with a
-drive alone than of all of them, these numbers and those are as far apart as either may be wrong.
 """
 
 from __future__ import annotations
@@ -45,8 +42,7 @@ from rig.identification.departures.budget import COVERAGE, Entry
 from rig.identification.departures.fit import POSITIVE, Fit, refitted, solve, sums_of_pieces, to_diagonal_1, unit
 from rig.identification.departures.fit import start as begin
 from rig.identification.departures.nuisances import OF
-from rig.identification.departures.pieces import FEWEST_ROWS, Cut
-from rig.identification.estimate import Estimate
+from rig.identification.departures.pieces import Cut
 from rig.model.real_motor import is_plain
 from rig.run_folder.recording.series import Window
 
@@ -75,12 +71,8 @@ BY_SIZE = ("sag", "source")
 BENDS_BY = {"sag": 1, "source": 2, "dead_band": 1}  # numbers of what acts of each size of drive
 ONE_SIZE = "one size of drive"
 TAKEN = 0.19  # of it may be missing, at 95 %: a bridge of bipolar transistors takes 1.8 V (L298N, at 1 A) of 9.5 V
-AT_0_V = "rows at 0 V"
-FAR_LESS, COASTS = 0.25, 0.02  # of the residual beyond the sensor's noise; of the rows, at least
 NOT_SHOWN = {
     ONE_SIZE: "what acts of a drive of one size no record shows; record drives of several sizes",
-    AT_0_V: "the rows with a drive alone say other numbers, and fit far better; does the bridge let the motor run free "
-    "at 0 V? Then it is no plain motor there: record drives without rests, or with a bridge that brakes",
 }
 PREDICTED = 0.005  # error in blocks of a plain motor that leaves nothing to share
 
@@ -253,37 +245,6 @@ def _held(u_V: Array, last_s: Array, first: int, stop: int, least_V: float) -> s
     return slice(up, down + 1) if is_short else slice(first, stop)
 
 
-def of_rests(fit: Fit, answer: Estimate | None = None) -> tuple[Entry, ...]:
-    """The line for what the rows with a drive alone say otherwise; none where they leave hardly less than all rows.
-
-    answer   the numbers that the line is for; None: those of the fit
-    """
-    cut = fit.problem.cut
-    if fit.rms_rad <= LEAVES * fit.problem.sigma_rad:
-        return ()
-    one_V = ONE_DRIVE * float(np.abs(_drives_of(cut)[0]).max())
-    driven = [np.abs(_at_rows(window, max(fit.motor.delay_s, 0.0))) > one_V for window in cut.windows]
-    stretches = [
-        (Window(window.series, window.first + first, window.first + stop), frame, most_s)
-        for window, frame, most_s, on in zip(cut.windows, cut.frames, cut.most_s, driven, strict=True)
-        for first, stop in np.flatnonzero(np.diff(np.concatenate(([False], on, [False])))).reshape(-1, 2).tolist()
-        if stop - first >= FEWEST_ROWS
-    ]
-    at_rows = np.concatenate(driven)
-    if not stretches or at_rows.mean() > 1.0 - COASTS:
-        return ()
-    windows, frames, most_s = zip(*stretches, strict=True)
-    ones = tuple(np.zeros(1, dtype=np.int64) for _ in windows)
-    alone = Cut(windows, frames, ones, most_s, coupling=cut.coupling).every(cut.longest_s)
-    if alone.begins.size < FEWEST_PIECES:
-        return ()
-    other = solve(begin(replace(fit.problem, cut=alone), fit.motor))
-    here, there = float(np.mean(fit.residual_rad[at_rows] ** 2)), other.rms_rad**2
-    if not there - fit.problem.sigma_rad**2 < FAR_LESS**2 * (here - fit.problem.sigma_rad**2):
-        return ()
-    return (Entry(AT_0_V, *(abs(getattr(other.motor, name) - getattr(answer or fit.motor, name)) for name in OF)),)
-
-
 def drive_sizes(cut: Cut) -> int:
     """How many sizes of drive the tests hold that tell a bend, beside 0: those that act for some time."""
     u_V, last_s = _drives_of(cut)
@@ -387,10 +348,10 @@ def _drive_V(cut: Cut) -> Array:
     return np.concatenate(found)
 
 
-def _at_rows(window: Window, late_s: float = 0.0) -> Array:
+def _at_rows(window: Window) -> Array:
     """(n,) the drive that acts at each row, V."""
     steps = window.steps
-    return steps.u_V[np.maximum(np.searchsorted(steps.edge_s, window.t_s - late_s, side="right") - 1, 0)]
+    return steps.u_V[np.maximum(np.searchsorted(steps.edge_s, window.t_s, side="right") - 1, 0)]
 
 
 def _inverse(matrix: Array) -> Array:

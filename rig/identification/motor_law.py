@@ -35,13 +35,11 @@ from rig.identification.estimate import PARAMETERS, Estimate, intervals
 from rig.identification.further import Further, agreeing
 from rig.identification.hanging_load import behind_a_gear
 from rig.identification.model_error import (
-    AT_0_V,
     MANY_LAWS,
     NOT_SHOWN,
     any_bend,
     model_error,
     of_one_size,
-    of_rests,
     only_like,
 )
 from rig.identification.noise import WHITE
@@ -176,11 +174,7 @@ class MotorLaw:
         """The same with the verdict of ``estimate``, which is its own, and its reservations."""
         law = replace(self, estimate=estimate, explains=bool(self.found) and estimate.verdict == "ok")
         reservations = law.reservations(estimate, largest_V)
-        return replace(law, estimate=law.reserved(estimate, reservations))
-
-    def reserved(self, estimate: Estimate, reservations: Sequence[str]) -> Estimate:
-        """The estimate with these reservations, and without what they refute."""
-        return reserved(estimate, reservations, runs_free=any(one.source == AT_0_V for one in self.budget.entries))
+        return replace(law, estimate=reserved(estimate, reservations))
 
     def without_laws(self) -> MotorLaw:
         """The same, but for the laws and their estimate: the plain one holds."""
@@ -511,7 +505,6 @@ def motor_law(
     scales = ScaleErrors.of(stated, *begun.travel_rad)
     bears_all = parts.problem.cut.begins.size == len(parts.problem.cut.windows)
     is_plain = bears_all and not choice.laws and not further and not coupled  # then its fit of the whole is the answer
-    at_rests = of_rests(parts, plain if is_plain else None)
     bends = any_bend(parts, bare, goes_along=bench.goes_along)
     lines = budget(
         nuisances.tempered(of_model.effect),
@@ -519,7 +512,7 @@ def motor_law(
         instead,
         scales,
         scatter * of_model.of_each,
-        (*of_model.lines, *like, *bends, *of_one_size(parts), *at_rests, *of_levels, *of_lag),
+        (*of_model.lines, *like, *bends, *of_one_size(parts), *of_levels, *of_lag),
     )
     holds = _holds(whole, turns_both="bias_V" in begun.chooser.core)
     bounded = (*_at_bounds(fit, choice.laws), *(() if coupled is None else damped_at_bound(coupled)))

@@ -105,15 +105,11 @@ def intervals(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
     return estimate
 
 
-def reserved(estimate: Estimate, reservations: Sequence[str], *, runs_free: bool = False) -> Estimate:
-    """The estimate doubtful for what u95 says. What its interval alone says of a number is less, and stands no more.
-
-    runs_free   whether a motor that runs free at 0 V is what the rows show: then a delay below 0 comes from that
-    """
+def reserved(estimate: Estimate, reservations: Sequence[str]) -> Estimate:
+    """The estimate doubtful for what u95 says. What its interval alone says of a number is less, and stands no more."""
     if not reservations:
         return estimate
-    refuted = (MORE_CYCLES, ROW_UP) if runs_free else (MORE_CYCLES,)
-    kept = tuple(reason for reason in estimate.reasons if not reason.endswith(refuted))
+    kept = tuple(reason for reason in estimate.reasons if not reason.endswith(MORE_CYCLES))
     return replace(estimate, reasons=kept).judged("doubtful", *reservations)
 
 

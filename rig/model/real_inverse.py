@@ -45,6 +45,10 @@ def drive_for_torque(m: RealMotor, torque_V: float, v: float, outside_V: float, 
     against = math.copysign(m.load_friction, direction * seen_V) if direction != 0.0 else 0.0
     passed_V = torque_V + against * seen_V / (1.0 - against)
     back_V = (1.0 - m.viscous_share) * v / m.K_rad_s_V
+    if m.no_brake > 0.0 and min(0.0, -back_V) < passed_V < max(0.0, -back_V):
+        if abs(passed_V) >= (1.0 - m.no_brake) * abs(back_V):
+            return 0.0  # no drive brakes so: with the motion it is too little, against it too much
+        passed_V /= 1.0 - m.no_brake
     wanted_V = passed_V + back_V
     inside = 1.0 - 4.0 * m.source_per_V2 * passed_V * wanted_V
     return 2.0 * wanted_V / (1.0 + math.sqrt(max(inside, 0.0)))  # beyond it no drive gives as much
@@ -77,7 +81,7 @@ def drive_for(
     viscous = abs(v) * (m.viscous_by_direction_V_s_rad + m.drag_V_s2_rad2 * v)
     outside_V = force(m, frame, y)
     wanted_V = (m.tau_s * acceleration_rad_s2 + v) / m.K_rad_s_V + outside_V + friction + viscous - m.bias_V
-    if m.load_friction > 0.0 or m.source_per_V2 > 0.0:
+    if m.load_friction > 0.0 or m.source_per_V2 > 0.0 or m.no_brake > 0.0:
         back_V = (1.0 - m.viscous_share) * v / m.K_rad_s_V
         wanted_V = drive_for_torque(m, wanted_V - back_V, v, outside_V, direction)
     return drive_before_stage(m, wanted_V)

@@ -26,6 +26,8 @@ SIZES: dict[str, dict[str, float]] = {
     "dead_band": {"dead_band_V": 0.15},
     "load_friction": {"load_friction": 0.15, "viscous_share": 0.3},
     "source": {"source_per_V2": 0.02, "viscous_share": 0.3},
+    "runs_free": {"runs_free": 0.5},
+    "no_brake": {"no_brake": 0.5},
     "gain_by_sign": {"gain_by_sign": 0.1},
     "sag": {"sag_per_V": 0.1},
     "lag": {"lag_s": 0.015},

@@ -40,6 +40,8 @@ LAWS: dict[str, dict[str, float]] = {
     "drift": {"drift": 0.1},
     "load_friction": {"load_friction": 0.2, "load_outside": 0.5, "viscous_share": 0.1},
     "source": {"source_per_V2": 0.002, "viscous_share": 0.1},
+    "runs_free": {"runs_free": 0.8},
+    "no_brake": {"no_brake": 0.8},
 }  # fmt: skip
 assert all(set(numbers) == set(PARTS[name]) for name, numbers in LAWS.items())
 

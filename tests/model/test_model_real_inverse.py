@@ -46,6 +46,7 @@ MOTORS = st.fixed_dictionaries(
         "load_outside": st.floats(0.0, 1.0),
         "viscous_share": st.floats(0.0, 0.5),
         "source_per_V2": st.floats(0.0, 1e-3),
+        "no_brake": st.sampled_from([0.0, 0.5]),
     }
 ).map(lambda numbers: RealMotor(**numbers))
 

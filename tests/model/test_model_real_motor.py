@@ -60,7 +60,10 @@ class Reference:
 
     def torque(self, w: float, v: float) -> float:
         m = self.m
-        return (w - (1.0 - m.viscous_share) * v / m.K_rad_s_V) / (1.0 + m.source_per_V2 * w * w)
+        drives = w - (1.0 - m.viscous_share) * v / m.K_rad_s_V
+        passed = 1.0 - m.runs_free if w == 0.0 else 1.0
+        passed *= 1.0 - m.no_brake if w * drives <= 0.0 else 1.0
+        return passed * drives / (1.0 + m.source_per_V2 * w * w)
 
     def load(self, w: float, v: float, y: float) -> float:
         return self.m.load_friction * abs(self.torque(w, v) + self.m.load_outside * self.force(y))

@@ -21,7 +21,7 @@ SHAFT_SHARE = 1e-6  # of the inertia, about the body's own centre: MuJoCo wants 
 # Parts that motor_mujoco.py adds to motor.xml.
 BY_HAND = (
     "dead_band", "gain_by_sign", "sag", "viscous_by_direction", "static", "stribeck", "friction_over_position",
-    "cogging", "linearity", "load_friction", "source",
+    "cogging", "linearity", "load_friction", "source", "runs_free", "no_brake",
 )  # fmt: skip
 LACKS = {part: why for part, why in NOT_RIGID.items() if part not in BY_HAND}
 

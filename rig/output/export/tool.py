@@ -20,6 +20,8 @@ IN_NONE: Final = {
     "drift": "friction stays at its mean over the tests",
     "load_friction": "friction is that at no torque: a large drive moves the model farther than the motor",
     "source": "the supply has no resistance: tau is that of small drives",
+    "runs_free": "the bridge brakes: at a drive of 0 the motor coasts farther than the model",
+    "no_brake": "the bridge brakes: where its drive falls the motor coasts farther than the model",
 }
 # And what has no state in a model of velocity and position, and no inverse.
 NOT_RIGID: Final = {
