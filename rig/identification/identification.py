@@ -428,23 +428,12 @@ def _found(data: Measurements) -> Identification:
     """The identification before the first estimate: tests, cycles, notes."""
     cycles = [(test.name, cycle) for test, cycle in zip(data.tests, data.cycles, strict=True) if cycle is not None]
     return Identification(
-        relays=[_relay(name, cycle) for name, cycle in cycles],
+        relays=[RelayTestResult.of(cycle, stage=name) for name, cycle in cycles],
         hysteretic=[Transient.of(run).as_result() for run in data.hysteretic],
         cycles=dict(cycles),
         tests=list(data.tests),
         changes=list(data.changes),
         notes=list(data.notes),
-    )
-
-
-def _relay(stage: str, cycle: Cycle) -> RelayTestResult:
-    return RelayTestResult(
-        stage=stage,
-        h1_V=cycle.h1_V,
-        h2_V=cycle.h2_V,
-        period_s=cycle.period_s,
-        amplitude_rad=cycle.amplitude_rad,
-        cycles=cycle.cycles,
     )
 
 
