@@ -30,7 +30,6 @@ from rig.run_folder.results.identification import Answered
 from rig.run_folder.results.meta import REHEARSAL
 from rig.run_folder.results.part import VERSION
 from rig.running.preflight import notes
-from rig.running.preflight.room_to_stop import device_watchdog_s
 
 
 @dataclass
@@ -79,7 +78,8 @@ def run_meta(experiment: Experiment, bench: Bench, script: results.ScriptCall, s
     """meta.json of a run that begins on an open bench."""
     info = bench.info
     measures_supply = not math.isnan(info.supply_V)
-    watchdog_s = device_watchdog_s(experiment.device)
+    backend = backend_of(experiment.device)
+    watchdog_s = backend.watchdog(experiment.device).time_s
     emulated = experiment.emulated
     is_rehearsal = info.emulated and emulated is not None and emulated.rehearsal is not None
     return results.RunMeta(
@@ -90,7 +90,7 @@ def run_meta(experiment: Experiment, bench: Bench, script: results.ScriptCall, s
         order=bench.driver.order,
         period_s=experiment.period_s,
         drive_units=info.drive_units,
-        times_error_s=backend_of(experiment.device).times_error_s(experiment.device),
+        times_error_s=backend.times_error_s(experiment.device),
         firmware=results.DeviceSeen.of(
             info,
             supply_V=info.supply_V if measures_supply else None,

@@ -18,9 +18,9 @@ from rig.config.load import Given, load_with_places, read
 from rig.config.messages import unplaced
 from rig.config.problems import ConfigError, Path, Problem, bracketed, printable, wrong
 from rig.config.schema import DeviceSetup, Experiment, RelayGainsSection
-from rig.control.laws import OptionError, construct, registered
+from rig.control.laws import construct, registered
 from rig.control.sweep_plan import TooShortError
-from rig.core.plug_ins import PlugInError
+from rig.core.plug_ins import OptionError, PlugInError
 from rig.core.signals import percent, plain
 from rig.running.preflight import room_to_stop as stopping
 from rig.running.preflight.attached import attached_rules
