@@ -152,17 +152,6 @@ def test_a_damaged_drive_is_not_pretended() -> None:
 # ---------------------------------------------------------------------- faults, with their codes and at the pin
 
 
-def test_arming_with_a_broken_wire_is_refused() -> None:
-    board = VirtualBoard(BenchParameters(MOTOR, sensor="broken_low"))
-    driver = make(board)
-    driver.open()
-    driver.arm(LIMITS)  # the emulated wire breaks at the first arming
-    board.sleep_until(board.now_s() + 0.002)
-    assert fault_of(driver.read).code == "DEVICE_SENSOR"
-    assert fault_of(driver.arm, LIMITS).code == "DEVICE_SENSOR"
-    assert not board.truth().armed
-
-
 def test_a_fault_is_cleared_by_opening_anew_and_by_nothing_else() -> None:
     board, driver = armed()
     assert not math.isnan(ticks(board, driver, 0.2, 3)[-1][0].t_u_s)
