@@ -23,7 +23,6 @@ FALLING = Calibration([(12, 500 * RAD_PER_COUNT), (1012, -500 * RAD_PER_COUNT)])
 DRIVE = DriveMap(supply_V=12.0)
 LIMITS = Limits(soft_rad=(-1.1, 1.1), hard_rad=(-1.9, 1.9), max_u_V=3.0, watchdog_s=0.1)
 PERIOD_S = 0.01
-WATCHDOG_LATEST_S = LIMITS.watchdog_s + 0.002  # a tick of the device, and the last frame's way
 
 
 def make(
