@@ -13,7 +13,6 @@ from typing import Any, overload
 from numpy.typing import ArrayLike
 
 from rig.backends.links.device_file import require_device_file
-from rig.config import Experiment
 from rig.config import ready as ready_configs
 from rig.config.load import Given
 from rig.control import simulation
@@ -163,11 +162,7 @@ def run(config: Given, law: OwnLaw | None = None, *, duration_s: float = 10.0, o
         return _as_run(experiment.run(checked, Path(out)))
     own = Timed(law, duration_s, type(law).__name__)
     # the run folder keeps the config: it must not name a law that did not run
-    return _as_run(experiment.run_law(_without_law(checked), own, Path(out)))
-
-
-def _without_law(e: Experiment) -> Experiment:
-    return e.model_copy(update={"law": None})
+    return _as_run(experiment.run_law(checked.model_copy(update={"law": None}), own, Path(out)))
 
 
 def _as_run(outcome: Outcome) -> Run:

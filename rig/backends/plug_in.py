@@ -53,11 +53,7 @@ def loaded(entry: EntryPoint) -> type[Driver] | Backend:
 
     The constructor of a driver class takes one argument; its methods take as many as those of ``Driver``.
     """
-    who = described(entry)
-    try:
-        found: object = entry.load()
-    except Exception as error:  # whatever it is, the other package did it
-        raise PlugInError(f"{who} cannot be imported: {plug_ins.in_words(error)}") from error
+    who, found = plug_ins.imported(entry, "driver")
     if isinstance(found, Backend):
         if found.name != entry.name:
             raise PlugInError(f"{who}: its name must be {entry.name!r}, not {found.name!r}")

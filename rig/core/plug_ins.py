@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import sys
 import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -17,6 +17,17 @@ Finder = Callable[..., Iterable[EntryPoint]]
 
 class PlugInError(RigError):
     """A driver or a law of another package that cannot be used: who offers it, and what is wrong with it."""
+
+
+class OptionError(ValueError):
+    """Options that something does not take.
+
+    key  the option that is wrong; "" if nobody can tell
+    """
+
+    def __init__(self, message: str, key: str = "") -> None:
+        self.key = key
+        super().__init__(message)
 
 
 def offered(group: str, kind: str, finder: Finder) -> dict[str, EntryPoint]:
@@ -57,6 +68,15 @@ def described(entry: EntryPoint, kind: str) -> str:
     return f"{kind} {entry.name!r} ({entry.value}{package})"
 
 
+def imported(entry: EntryPoint, kind: str) -> tuple[str, object]:
+    """An entry in words, and what it names. Raises PlugInError where that cannot be imported."""
+    who = described(entry, kind)
+    try:
+        return who, entry.load()
+    except Exception as error:  # whatever it is, the other package did it
+        raise PlugInError(f"{who} cannot be imported: {in_words(error)}") from error
+
+
 def takes(function: object, arguments: int) -> bool:
     """Whether something can be called with so many positional arguments."""
     try:
@@ -64,6 +84,23 @@ def takes(function: object, arguments: int) -> bool:
     except (TypeError, ValueError):
         return False
     return True
+
+
+def require_options(make: object, who: str, options: Mapping[str, object]) -> None:
+    """Raise OptionError where ``make`` cannot be called with these options; ``who``: what it is, in words."""
+    try:
+        signature = inspect.signature(make)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return  # it does not say what it takes: calling it tells
+    named = [p.name for p in signature.parameters.values() if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+    takes_any = any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values())
+    for key in options:
+        if key not in named and not takes_any:
+            raise OptionError(f"{who} takes no option {key!r}; it takes: {', '.join(named) or 'none'}", key)
+    try:
+        signature.bind(**options)
+    except TypeError as error:
+        raise OptionError(f"{who}: {error}") from error
 
 
 def in_words(error: BaseException) -> str:

@@ -26,13 +26,7 @@ def design_map(task: Task, doubt_percent: float) -> results.DesignResult:
     pair = () if gains is None else gains.pair or (gains.single,)
     return results.DesignResult(
         motor=_motor(task, doubt_percent),
-        room=results.DesignRoom(
-            low_rad=task.room.low_rad,
-            high_rad=task.room.high_rad,
-            max_V=task.room.max_V,
-            max_speed_rad_s=task.room.max_speed_rad_s,
-            horizon_s=task.room.horizon_s,
-        ),
+        room=results.DesignRoom.of(task.room),
         wanted_percent=task.wanted_percent,
         strokes=tuple(results.DesignedStroke(u_V=one.u_V, turn_rad=one.turn_rad) for one in _strokes_of(strokes)),
         gains=tuple(_gains(one.gains) for one in pair),
@@ -44,12 +38,8 @@ def design_map(task: Task, doubt_percent: float) -> results.DesignResult:
 
 
 def _motor(task: Task, doubt_percent: float) -> results.BelievedMotor:
-    b = task.belief
-    return results.BelievedMotor(
-        tau_s=b.tau_s,
-        K_rad_s_V=b.K_rad_s_V,
-        fc_V=b.fc_V,
-        asym_V=b.asym_V,
+    return results.BelievedMotor.of(
+        task.belief,
         static_V=task.room.static_V,
         doubt_percent=doubt_percent,
         noise_rad=math.sqrt(task.reading.noise_rad2),

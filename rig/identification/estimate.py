@@ -134,25 +134,12 @@ class Estimate:
     def as_result(self) -> EstimateResult:
         """As one entry of ``estimates`` in result.json; a number that is not finite becomes None."""
         memory_s, size = (None, None) if self.coloured is None else self.coloured
-        return EstimateResult(
-            tau_s=self.tau_s,
-            K_rad_s_V=self.K_rad_s_V,
-            fc_V=self.fc_V,
-            asym_V=self.asym_V,
-            delay_s=self.delay_s,
-            fc_plus_V=self.fc_plus_V,
-            fc_minus_V=self.fc_minus_V,
-            bias_V=self.bias_V,
-            ci95=dict(self.ci95),
+        return EstimateResult.of(
+            self,
             covariance_of=PARAMETERS,
             covariance=self.covariance.tolist(),
             correlation=self.correlation.tolist(),
-            rms_rad=self.rms_rad,
             residual=ResidualResult(repeated=self.repeated, wander_memory_s=memory_s, wander_over_white=size),
-            iterations=self.iterations,
-            verdict=self.verdict,
-            reasons=self.reasons,
-            rows=self.rows,
         )
 
 

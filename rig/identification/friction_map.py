@@ -127,32 +127,14 @@ class FrictionMap:
 
     def as_result(self) -> FrictionMapResult:
         """As in result.json."""
-        return FrictionMapResult(
-            tau_s=self.motor.motor.tau_s,
-            K_rad_s_V=self.motor.motor.K_rad_s_V,
+        return FrictionMapResult.of(
+            self.motor.motor,
             laws=self.motor.parts,
             travel_rad=self.travel_rad,
-            speeds=tuple(
-                MapSpeedResult(
-                    speed_rad_s=one.speed_rad_s,
-                    drive_V=one.drive_V,
-                    error_V=one.error_V,
-                    sticks=one.sticks,
-                    share=one.share,
-                    law_V=self.law_over_speed(one.speed_rad_s),
-                )
-                for one in self.speeds
-            ),
+            speeds=tuple(MapSpeedResult.of(one, law_V=self.law_over_speed(one.speed_rad_s)) for one in self.speeds),
             positions=tuple(
-                MapPositionResult(
-                    y_rad=one.y_rad,
-                    plus_V=one.plus_V,
-                    minus_V=one.minus_V,
-                    plus_error_V=one.plus_error_V,
-                    minus_error_V=one.minus_error_V,
-                    force_V=one.force_V,
-                    friction_V=one.friction_V,
-                    error_V=one.error_V,
+                MapPositionResult.of(
+                    one,
                     law_plus_V=self.law_over_position(one.y_rad, 1.0),
                     law_minus_V=self.law_over_position(one.y_rad, -1.0),
                 )

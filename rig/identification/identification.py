@@ -227,23 +227,23 @@ def _tried(asked: _Asked, data: Measurements) -> Identification | IdentifyError:
 def _identified(asked: _Asked, data: Measurements) -> Identification:
     """The identification from these data; it may take the gain search as a test. Raises IdentifyError."""
     recordings, wanted, without = asked.recordings, asked.wanted, asked.without
-    found = _found(data)
     used = [e for e in wanted if asked.by_name or e.series(data)]
-    errors = _add_estimates(used, data, found, asked.by_name)
+
+    def estimated() -> tuple[Identification, dict[str, IdentifyError]]:
+        found = _found(data)
+        return found, _add_estimates(used, data, found, asked.by_name)
+
+    found, errors = estimated()
     leading = found.estimates.get(LEADING)
     if leading is not None and _tells_no_motor(leading, data) and data.take_searches():
-        found = _found(data)
-        errors = _add_estimates(used, data, found, asked.by_name)
+        found, errors = estimated()
     if _takes_delay(data, found.estimates.get(LEADING), recordings):
-        found = _found(data)
-        errors = _add_estimates(used, data, found, asked.by_name)
+        found, errors = estimated()
     if _takes_change(data, found.estimates.get(LEADING)):
-        found = _found(data)
-        errors = _add_estimates(used, data, found, asked.by_name)
+        found, errors = estimated()
     stamps = _stamps(data, found.estimates.get(LEADING))
     if stamps:
-        found = _found(data)
-        errors = _add_estimates(used, data, found, asked.by_name)
+        found, errors = estimated()
     if not found.estimates:
         # the leading estimator needs the least data: what it misses, the recording lacks
         decisive = wanted[0].name if len(wanted) == 1 else LEADING
@@ -428,23 +428,12 @@ def _found(data: Measurements) -> Identification:
     """The identification before the first estimate: tests, cycles, notes."""
     cycles = [(test.name, cycle) for test, cycle in zip(data.tests, data.cycles, strict=True) if cycle is not None]
     return Identification(
-        relays=[_relay(name, cycle) for name, cycle in cycles],
+        relays=[RelayTestResult.of(cycle, stage=name) for name, cycle in cycles],
         hysteretic=[Transient.of(run).as_result() for run in data.hysteretic],
         cycles=dict(cycles),
         tests=list(data.tests),
         changes=list(data.changes),
         notes=list(data.notes),
-    )
-
-
-def _relay(stage: str, cycle: Cycle) -> RelayTestResult:
-    return RelayTestResult(
-        stage=stage,
-        h1_V=cycle.h1_V,
-        h2_V=cycle.h2_V,
-        period_s=cycle.period_s,
-        amplitude_rad=cycle.amplitude_rad,
-        cycles=cycle.cycles,
     )
 
 

@@ -143,13 +143,11 @@ class Transient:
 
     def as_result(self) -> HystereticResult:
         """As in result.json; ``switched_s`` and ``switched_rad`` are None if no switching is recorded."""
-        return HystereticResult(
+        return HystereticResult.of(
+            self,
             stage=self.name,
-            d_V=self.d_V,
-            start_rad=self.start_rad,
             switched_s=float(self.t_s[-1]) if self.switched else None,
             switched_rad=float(self.y_rad[-1]) if self.switched else None,
-            rows=self.rows,
         )
 
     @property

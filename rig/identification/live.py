@@ -315,7 +315,7 @@ class LiveFit:
         self._rows = [LiveRows(*(np.concatenate(columns) for columns in zip(*self._rows, strict=True)))]
         windows: list[Window] = []
         for series in self._series(self._rows[0]):
-            latest_s = self._latest_s if series.delay_s is None else series.delay_s[1]
+            latest_s = (self._delay_s[1] if self._late else 0.0) if series.delay_s is None else series.delay_s[1]
             if len(series) - np.searchsorted(series.t_s, series.edge_s[0] + latest_s) < FEWEST_ROWS:
                 continue
             windows.append(series.predictable(latest_s))
@@ -348,11 +348,6 @@ class LiveFit:
     def _delay_s(self) -> tuple[float, float]:
         """Bounds of the delay that is fitted, s."""
         return self.settings.delay_s or (0.0, 2.0 * self.settings.period_s)
-
-    @property
-    def _latest_s(self) -> float:
-        """Longest delay beyond the times that the rows tell, s."""
-        return self._delay_s[1] if self._late else 0.0
 
     def _frame(self, windows: Sequence[Window]) -> Frame:
         start_s = float(windows[0].t_s[0])
@@ -468,11 +463,7 @@ class LiveFit:
         return LiveEstimate(
             int(self._rows[0].row[-1]),
             float(self._rows[0].t_s[-1]),
-            motor.tau_s,
-            motor.K_rad_s_V,
-            motor.fc_V,
-            motor.bias_V,
-            motor.delay_s,
+            *motor[:5],
             half,
             covariance,
             ratio,
@@ -495,11 +486,7 @@ class LiveFit:
         return LiveEstimate(
             -1 if rows is None else int(rows.row[-1]),
             math.nan if rows is None else float(rows.t_s[-1]),
-            motor.tau_s,
-            motor.K_rad_s_V,
-            motor.fc_V,
-            motor.bias_V,
-            motor.delay_s,
+            *motor[:5],
             dict.fromkeys(OF_PARAMETERS, 100.0 * NORMAL_95 * share),
             np.diag(np.array([share, share, share * motor.fc_V, asym_V, delay]) ** 2),
             math.nan,

@@ -262,10 +262,7 @@ class MotorLaw:
         return MotorLawResult(
             not_told_apart=self.not_told_apart,
             ok_asks_u95_percent=100.0 * ASKED,
-            budget=tuple(
-                BudgetEntry(source=e.source, tau_s=e.tau_s, K_rad_s_V=e.K_rad_s_V, fc_V=e.fc_V, absolute=e.absolute)
-                for e in self.budget.entries
-            ),
+            budget=tuple(map(BudgetEntry.of, self.budget.entries)),
             pieces=tuple(PieceResult(length_s=length, rms_rad=rms) for length, rms in self.growth),
             law_records=self.records,
         )
@@ -301,15 +298,7 @@ class MotorLaw:
             holds=self.holds,
             with_laws=None if self.estimate is None else self.estimate.as_result(),
             law=tuple(
-                FoundLawResult(
-                    name=one.law.name,
-                    value=one.size,
-                    unit=one.law.unit,
-                    ci95=one.ci95,
-                    bic=one.bic,
-                    numbers=dict(one.numbers),
-                )
-                for one in self.found
+                FoundLawResult.of(one, name=one.law.name, value=one.size, unit=one.law.unit) for one in self.found
             ),
             law_frame=None if self.motor is None else LawFrameResult(**self.motor.frame._asdict()),
             u95={**self.budget.u95},

@@ -301,7 +301,7 @@ def _first_delays(problem: OutputErrorProblem) -> list[float]:
 def _with_noise(problem: OutputErrorProblem, best: Solution) -> tuple[OutputErrorProblem, Solution]:
     """The problem with the noise that the residual shows, and its solution; both as they are if the noise is white."""
     for _ in range(NOISE_ROUNDS):
-        if _exact(best, problem.windows):
+        if best.rms_rad < EXACT * spread_rad(problem.windows):  # only rounding is left
             break
         noise = best.fit.problem.cut.noise_of(best.residual)
         if noise.white:
@@ -334,11 +334,6 @@ def _extended(problem: OutputErrorProblem, candidates: Sequence[Array], periods_
             return part.solve(found.x).after(found)
         best = found
         horizon_s *= 2.0
-
-
-def _exact(solution: Solution, windows: Sequence[Window]) -> bool:
-    """Whether the residual is only rounding."""
-    return solution.rms_rad < EXACT * spread_rad(windows)
 
 
 class _Shapes:

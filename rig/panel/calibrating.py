@@ -14,8 +14,9 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import asdict
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast
 
 from rig.config.problems import ConfigError
 from rig.core.errors import RigError
@@ -43,10 +44,7 @@ class _Page:
 
     def ask(self, question: Ask) -> str:
         """The answer. Raises Skipped; NotWrittenError if somebody ends the calibration."""
-        _tell("ask", Question(
-            words=question.words, kind=question.kind, default=question.default, choices=question.choices,
-            empty=question.empty, commands=question.commands, skips=question.skips,
-        ))  # fmt: skip
+        _tell("ask", cast(Question, asdict(question)))
         said = self.heard()
         if said.get("skip"):
             raise Skipped("skipped")

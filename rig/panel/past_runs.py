@@ -68,15 +68,14 @@ class Runs:
     def row(self, folder: Path) -> RunRow:
         """What came of one run; reads its small files."""
         notes: list[str] = []
+        meta = result = None
         try:
             meta, _ = read_meta(folder)
         except RecordingError as error:
-            meta = None
             notes.append(f"{META} {error.cause}")
         try:
             result, _ = read_result(folder)
         except RecordingError as error:
-            result = None
             notes.append(f"{RESULT} {error.cause}")
         return _summary(folder, meta or RunMeta(), result, notes)
 

@@ -8,7 +8,7 @@ from rig.config import ConfigError, Experiment, is_campaign, read
 from rig.panel.messages import Plan, Prospect
 from rig.running import preflight
 from rig.running.preflight.plan import lasts_s
-from rig.running.preflight.room_to_stop import stopping_terms
+from rig.running.preflight.room_to_stop import stopping_rad
 
 
 def prospect(config: Path) -> Prospect:
@@ -35,7 +35,7 @@ def _plan(e: Experiment) -> Plan:
     endless = e.limits.is_endless
     return {
         "name": e.name, "largest_drive_V": e.drive.max_V, "jog_V": min(e.breakaway.max_V, e.drive.max_V),
-        "stopping_distance_rad": sum(rad for _, rad in stopping_terms(e.device)),
+        "stopping_distance_rad": stopping_rad(e.device),
         "soft_rad": None if endless else list(e.limits.soft_rad),
         "hard_rad": None if endless else list(e.limits.hard_rad),
         "max_speed_rad_s": e.limits.max_speed_rad_s, "lasts_s": lasts_s(e),

@@ -30,7 +30,6 @@ from rig.run_folder.results.identification import Answered
 from rig.run_folder.results.meta import REHEARSAL
 from rig.run_folder.results.part import VERSION
 from rig.running.preflight import notes
-from rig.running.preflight.room_to_stop import device_watchdog_s
 
 
 @dataclass
@@ -79,7 +78,8 @@ def run_meta(experiment: Experiment, bench: Bench, script: results.ScriptCall, s
     """meta.json of a run that begins on an open bench."""
     info = bench.info
     measures_supply = not math.isnan(info.supply_V)
-    watchdog_s = device_watchdog_s(experiment.device)
+    backend = backend_of(experiment.device)
+    watchdog_s = backend.watchdog(experiment.device).time_s
     emulated = experiment.emulated
     is_rehearsal = info.emulated and emulated is not None and emulated.rehearsal is not None
     return results.RunMeta(
@@ -90,25 +90,15 @@ def run_meta(experiment: Experiment, bench: Bench, script: results.ScriptCall, s
         order=bench.driver.order,
         period_s=experiment.period_s,
         drive_units=info.drive_units,
-        times_error_s=backend_of(experiment.device).times_error_s(experiment.device),
-        firmware=results.DeviceSeen(
-            board=info.board,
-            build=info.build,
-            reset_cause=info.reset_cause,
-            clock_ratio=info.clock_ratio,
+        times_error_s=backend.times_error_s(experiment.device),
+        firmware=results.DeviceSeen.of(
+            info,
             supply_V=info.supply_V if measures_supply else None,
             supply_at_least=info.supply_at_least if measures_supply else None,
         ),
-        drive=results.SupplyBelieved(
-            supply_V=experiment.drive.supply_V,
-            bridge_drop_V=experiment.drive.bridge_drop_V,
-            supply_error_percent=experiment.drive.supply_error_percent,
-        ),
-        sensor=results.SensorBelieved(
-            linearity_percent=experiment.sensor.linearity_percent,
-            full_range_rad=experiment.sensor.full_range_rad,
-            calibration_error_rad=experiment.sensor.calibration_error_rad,
-            calibration_rad=tuple(sorted(rad for _, rad in experiment.sensor.points)),
+        drive=results.SupplyBelieved.of(experiment.drive),
+        sensor=results.SensorBelieved.of(
+            experiment.sensor, calibration_rad=tuple(sorted(rad for _, rad in experiment.sensor.points))
         ),
         failsafe="none: the device holds its last drive"
         if bench.driver.failsafe is None or watchdog_s is None
@@ -129,9 +119,7 @@ def run_time(bench: Bench) -> results.RunTime:
     """The time of an open bench, with its stalls so far."""
     clock = bench.clock
     if isinstance(clock, PacedClock):
-        return results.RunTime(
-            kind="virtual", pace=clock.pace, stalls=clock.stalls, longest_stall_s=clock.longest_stall_s
-        )
+        return results.RunTime.of(clock, kind="virtual")
     return results.RunTime(kind="real" if isinstance(clock, MonotonicClock) else "virtual")
 
 

@@ -107,7 +107,6 @@ def talk(
 
 
 UNO, ENCODER = ready.text("uno"), ready.text("encoder")
-COUNTS = {-100: 140, -50: 326, 0: 512, 50: 698, 100: 884}  # 0.26882 degrees for a count
 ALL_ANGLES = ["", "", "-100", "-50", "50", "100", ""]
 ALL_COUNTS = [512.0, 140.0, 326.0, 698.0, 884.0]
 SEEN = StrokesSeen(None, 0.6, 0.5, "runs/breakaway", ("friction differs",))

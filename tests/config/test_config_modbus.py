@@ -27,7 +27,7 @@ from rig.config import Experiment, load
 from rig.running.preflight import notes, preflight
 from rig.running.preflight.loop_settings import guard_settings_of
 from rig.running.preflight.plan import plan
-from rig.running.preflight.room_to_stop import device_watchdog_s, reaction_periods, stopping_terms
+from rig.running.preflight.room_to_stop import device_watchdog_s, reaction_periods, stopping_rad, stopping_terms
 
 CONFIG = Path(__file__).parents[2] / "config" / "modbus-rtu.yaml"
 SECTION = "daq.modbus.registers."
@@ -307,9 +307,7 @@ def test_a_watchdog_that_is_not_there_is_not_counted_and_said_to_be_missing() ->
     ]
     less_s = guard_settings_of(with_one).reaction_s - guard_settings_of(none).reaction_s
     assert less_s == pytest.approx(with_one.daq.watchdog_s)
-    less_rad = sum(rad for _, rad in stopping_terms(with_one.device)) - sum(
-        rad for _, rad in stopping_terms(none.device)
-    )
+    less_rad = stopping_rad(with_one.device) - stopping_rad(none.device)
     assert less_rad == pytest.approx(v * with_one.daq.watchdog_s)
     found = preflight(none)
     assert found.problems == ()

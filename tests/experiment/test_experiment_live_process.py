@@ -8,6 +8,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -29,7 +30,7 @@ SETTINGS = AdvisorSettings(
 
 @pytest.fixture
 def process(tmp_path: Path) -> Iterator[LiveProcess]:
-    with LiveProcess(tmp_path) as started:
+    with closing(LiveProcess(tmp_path)) as started:
         yield started
 
 
@@ -77,7 +78,7 @@ def test_it_ends_with_the_one_that_started_it_and_files_of_the_folder_that_rig_i
 ) -> None:
     (tmp_path / "queue.py").write_text("raise SystemExit(7)\n")
     monkeypatch.chdir(tmp_path)
-    with LiveProcess(tmp_path) as process:
+    with closing(LiveProcess(tmp_path)) as process:
         assert process._process is not None and process._process.stdin is not None
         process._process.stdin.close()  # it gets no settings, so it ends
         assert process._process.wait(600.0) == 0
@@ -115,6 +116,6 @@ def test_a_process_that_hangs_is_trouble_and_can_be_closed(
 
 def test_without_a_process_there_is_trouble_and_no_advice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "executable", str(tmp_path / "none"))
-    with LiveProcess(tmp_path) as none:
+    with closing(LiveProcess(tmp_path)) as none:
         none.begin(SETTINGS)
         assert none.advice(0, 0.0) is None and "did not start" in none.trouble

@@ -30,7 +30,7 @@ from device_laws import (
 from evidence import evidence
 from raised import fault_of
 from simulated_bench import CALIBRATION, GUARD, LIMITS
-from virtual_host import BENCH, HELD, LSB_RAD, SETUP, TICK_S, VirtualHost, armed_host
+from virtual_host import BENCH, HELD, LSB_RAD, SETUP, TICK_S
 
 from rig.backends.driver import RelayDriver, RelayRow, StrokeDriver
 from rig.backends.serial.driver import SerialDriver
@@ -42,7 +42,6 @@ from rig.backends.serial.frames import (
     Code,
     FrameReader,
     Kind,
-    Nack,
     Packet,
     encode,
 )
@@ -146,51 +145,6 @@ def test_garbage_on_the_line_neither_stops_nor_moves_it(law: LawSetup) -> None:
         told.append(blocks)
         assert host.board.truth().dropped == 0 if not disturbed else host.board.truth().dropped > 60
     assert told[0] == told[1] and len(told[0]) >= 118
-
-
-@pytest.mark.parametrize(
-    ("law", "wrong"),
-    [
-        (
-            RELAY,
-            (
-                (RELAY._replace(drive=(-201, 30, -30, 80)), Code.DRIVE_RANGE),
-                (RELAY._replace(drive=(80, -30, 30, -80)), Code.POLARITY),
-                (RELAY._replace(z_bound=0), Code.SETUP_INVALID),
-                (RELAY._replace(rows=11), Code.SETUP_INVALID),
-            ),
-        ),
-        (
-            STROKES,
-            (
-                (STROKES._replace(strokes=((201, 600), (-90, 420))), Code.DRIVE_RANGE),
-                (STROKES._replace(strokes=((80, 976), (-90, 420))), Code.SETUP_INVALID),
-                (STROKES._replace(strokes=((80, 600), (90, 420))), Code.SETUP_INVALID),
-                (STROKES._replace(stroke_ticks=0), Code.SETUP_INVALID),
-            ),
-        ),
-    ],
-    ids=["relay", "strokes"],
-)
-def test_it_is_refused_before_arming_beyond_a_limit_and_with_wrong_numbers(
-    law: LawSetup, wrong: tuple[tuple[LawSetup, Code], ...]
-) -> None:
-    def refusal(host: VirtualHost, law: LawSetup = law) -> Code:
-        packet = host.ask(kind_of(law), law.pack())
-        assert packet.kind == Kind.NACK
-        host.wait(0.01)
-        assert host.pin_V() == 0.0
-        return Code(Nack.unpack(packet.body).code)
-
-    fresh = VirtualHost(VirtualBoard(BENCH))
-    assert refusal(fresh) == Code.RESET
-    fresh.acknowledge(Code.RESET)
-    assert refusal(fresh) == Code.NOT_ARMED
-    host = armed_host(replace(BENCH, start_rad=1.95))
-    assert refusal(host) == Code.TRAVEL
-    host = armed_host()
-    for other, code in wrong:
-        assert refusal(host, other) == code
 
 
 def test_the_pin_does_what_the_rows_say() -> None:

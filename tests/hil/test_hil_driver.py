@@ -11,9 +11,8 @@ from virtual_host import BoardOptions
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import BoardTruth, VirtualBoard
 from rig.core.calibration import Calibration, DriveMap, Scaling, TachometerScale
-from rig.core.faults import Fault
 from rig.core.signals import Limits, Sample
-from rig.model.bench import BenchParameters, SensorWiring
+from rig.model.bench import BenchParameters
 from rig.model.friction import Friction
 from rig.model.motor import Motor
 
@@ -24,7 +23,6 @@ FALLING = Calibration([(12, 500 * RAD_PER_COUNT), (1012, -500 * RAD_PER_COUNT)])
 DRIVE = DriveMap(supply_V=12.0)
 LIMITS = Limits(soft_rad=(-1.1, 1.1), hard_rad=(-1.9, 1.9), max_u_V=3.0, watchdog_s=0.1)
 PERIOD_S = 0.01
-WATCHDOG_LATEST_S = LIMITS.watchdog_s + 0.002  # a tick of the device, and the last frame's way
 
 
 def make(
@@ -153,109 +151,6 @@ def test_a_damaged_drive_is_not_pretended() -> None:
 # ---------------------------------------------------------------------- faults, with their codes and at the pin
 
 
-def expect_fault(board: VirtualBoard, driver: SerialDriver, code: str) -> Fault:
-    """The fault comes with its code; the pin is at 0 V, latched, and stays there whatever is written."""
-    fault = fault_of(driver.read)
-    assert fault.code == code
-    driver.write(1.0)
-    board.sleep_until(board.now_s() + PERIOD_S)
-    truth = board.truth()
-    assert truth.pin_V == 0.0
-    assert truth.latched and not truth.armed
-    return fault
-
-
-def test_host_silence() -> None:
-    board, driver = armed()
-    ticks(board, driver, 1.0, 3)
-    heard_s = board.now_s() - PERIOD_S
-    board.sleep_until(heard_s + WATCHDOG_LATEST_S)
-    assert board.truth().pin_V == 0.0
-    assert board.truth().pin_changed_s - heard_s > 0.99 * LIMITS.watchdog_s
-    assert "watchdog 100 ms" in expect_fault(board, driver, "DEVICE_WATCHDOG").detail
-
-
-@pytest.mark.parametrize("y_rad", [1.91, -1.91])
-def test_travel(y_rad: float) -> None:
-    board, driver = armed()
-    ticks(board, driver, 0.2, 3)
-    board.place(y_rad)
-    board.sleep_until(board.now_s() + 0.002)
-    assert board.truth().pin_V == 0.0
-    assert "limits" in expect_fault(board, driver, "DEVICE_TRAVEL").detail
-
-
-@pytest.mark.parametrize("wiring", ["broken_low", "broken_high"])
-def test_sensor(wiring: SensorWiring) -> None:
-    board, driver = armed()
-    ticks(board, driver, 0.2, 3)
-    board.rewire(sensor=wiring)
-    board.sleep_until(board.now_s() + 0.002)
-    assert board.truth().pin_V == 0.0
-    expect_fault(board, driver, "DEVICE_SENSOR")
-
-
-def test_more_drive_than_armed_for() -> None:
-    board, driver = armed()
-    ticks(board, driver, 3.0, 3)
-    driver.write(3.1)
-    expect_fault(board, driver, "DEVICE_DRIVE_RANGE")
-
-
-def test_drive_without_arming() -> None:
-    board = VirtualBoard(BenchParameters(MOTOR))
-    driver = make(board)
-    driver.open()
-    driver.write(1.0)
-    assert fault_of(driver.read).code == "DEVICE_NOT_ARMED"
-    assert board.truth().pin_V == 0.0
-
-
-@pytest.mark.parametrize("cause", [1, 2, 4, 8])
-def test_a_reset_during_the_run(cause: int) -> None:
-    board, driver = armed()
-    ticks(board, driver, 1.0, 3)
-    board.reset(cause)
-    driver.write(1.0)
-    assert fault_of(driver.read).code == "DEVICE_RESET"
-    assert board.truth().pin_V == 0.0
-    assert driver.safe_stop()
-
-
-def test_a_hung_firmware() -> None:
-    """No reply; the chip's own watchdog resets it, and it is not armed then."""
-    board, driver = armed()
-    ticks(board, driver, 1.0, 3)
-    board.hang()
-    assert fault_of(driver.read).code == "LINK_TIMEOUT"
-    board.sleep_until(board.now_s() + 0.13)
-    assert board.truth().pin_V == 0.0
-    assert fault_of(driver.read).code == "DEVICE_RESET"
-
-
-def test_the_cable_is_pulled() -> None:
-    board, driver = armed()
-    ticks(board, driver, 1.0, 3)
-    pulled_s = board.now_s()
-    board.unplug()
-    assert fault_of(driver.read).code == "LINK_LOST"
-    assert fault_of(driver.write, 1.0).code == "LINK_LOST"
-    assert driver.safe_stop() is False
-    board.sleep_until(pulled_s + WATCHDOG_LATEST_S)
-    assert board.truth().pin_V == 0.0
-
-
-def test_arming_with_a_broken_wire_is_refused() -> None:
-    board = VirtualBoard(BenchParameters(MOTOR, sensor="broken_low"))
-    driver = make(board)
-    driver.open()
-    driver.arm(LIMITS)  # the emulated wire breaks at the first arming
-    board.sleep_until(board.now_s() + 0.002)
-    assert fault_of(driver.read).code == "DEVICE_SENSOR"
-    assert fault_of(driver.arm, LIMITS).code == "DEVICE_SENSOR"
-    assert not board.truth().armed
-
-
 def test_a_fault_is_cleared_by_opening_anew_and_by_nothing_else() -> None:
     board, driver = armed()
     assert not math.isnan(ticks(board, driver, 0.2, 3)[-1][0].t_u_s)
@@ -303,25 +198,3 @@ def test_beyond_a_limit_only_inward_drive_passes(falling: bool, turned: bool, si
 
 
 # ---------------------------------------------------------------------- stopping
-
-
-def test_safe_stop_is_seen_at_the_pin() -> None:
-    board, driver = armed()
-    ticks(board, driver, 1.0, 3)
-    assert board.truth().pin_V > 0.9
-    asked_s = board.now_s()
-    assert driver.safe_stop() is True
-    truth = board.truth()
-    assert truth.pin_V == 0.0 and not truth.armed
-    assert truth.pin_changed_s - asked_s < 0.002
-    driver.write(1.0)
-    board.sleep_until(board.now_s() + PERIOD_S)
-    assert board.truth().pin_V == 0.0
-
-
-def test_close_stops() -> None:
-    board, driver = armed()
-    ticks(board, driver, 1.0, 3)
-    driver.close()
-    assert board.truth().pin_V == 0.0 and not board.truth().armed
-    driver.close()

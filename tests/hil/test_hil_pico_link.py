@@ -10,7 +10,7 @@ import pytest
 from device_relay import DeviceRelay
 from device_strokes import DeviceStrokes
 from evidence import evidence
-from pico_host import BENCH, HELD, LSB_RAD, PICO_FULL, QUIET, SETUP, UNIT_V, armed_pico, pico
+from pico_host import BENCH, HELD, PICO_FULL, QUIET, SETUP, UNIT_V, armed_pico, pico
 from virtual_host import TICK_S, Told
 
 from emulated_chips.pico_parameters import pico_parameters
@@ -25,16 +25,11 @@ from rig.backends.serial.frames import (
     RelaySetup,
     StrokesSetup,
 )
-from rig.core.calibration import Calibration
 
-SUPPLY_V = 12.0
 BRIDGES = [Variant(), Variant(bridge="IN1_IN2")]
 FAST = Variant(baud=1_000_000)
-WIRED = Variant(tachometer=True, supply=True, end_switches=True)
 RELAY = RelaySetup((-780, 250, -250, 780), 2048 * 16, 12_000_000, 1, 10)
 STROKES = StrokesSetup(((625, 2240), (-700, 1840), (500, 2160), (-550, 1920)), 2000, 2000, 20, 10)
-CALIBRATION = Calibration([(0, -2048 * LSB_RAD), (4095, 2047 * LSB_RAD)])
-RAILS = (20, 4075)
 UNIT_S = 1 / 125e6  # of a pulse, for each unit of drive
 CYCLES_S = 12 / 125e6  # of a few instructions
 

@@ -16,6 +16,7 @@ import pytest
 from evidence import evidence
 from firmware_copy import copied_firmware
 from pico_host import HELD, SETUP, PicoHost, pico
+from register_table import check_rules, kept_by, rules, table
 
 from emulated_chips import build as chip_build
 from emulated_chips.build import PicoFirmware
@@ -28,8 +29,7 @@ from rig.backends.serial.frames import Block, Code, FrameReader, Kind, RelaySetu
 
 pytestmark = pytest.mark.long
 
-ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "evidence" / "registers-pico.md"
+PAGE = "registers-pico.md"
 BOARD = firmware_build.source_folder() / "boards" / "pico"
 PLAIN, IN1_IN2 = Variant(), Variant(bridge="IN1_IN2")
 EVERYTHING = Variant("IN1_IN2", 1_000_000, tachometer=True, supply=True, end_switches=True)
@@ -219,52 +219,12 @@ def test_a_program_without_its_checksum_is_not_started(tmp_path: Path) -> None:
 WRITES = re.compile(r"\b(?:REG|CLEAR_BITS|SET_BITS)\(([A-Za-z_0-9]+(?:\(\w+\))?(?: \+ [A-Z_]+)?)(?:\) =|,)")
 
 
-def table(heading: str) -> list[list[str]]:
-    """The rows of the first table after a heading."""
-    lines = PAGE.read_text(encoding="utf-8").split(heading)[1].splitlines()
-    start = next(k for k, line in enumerate(lines) if line.startswith("|---"))
-    rows = []
-    for line in lines[start + 1 :]:
-        if not line.startswith("| "):
-            break
-        rows.append([cell.strip() for cell in line.strip("|").split(" | ")])
-    return rows
-
-
-def rules() -> list[list[str]]:
-    """Rule, section, what keeps it, test; a line of C may have the mark between two cells."""
-    return [[row[0], row[1], " | ".join(row[2:-1]), row[-1]] for row in table("## Registers against the data sheet")]
-
-
-def kept_by(cell: str) -> list[tuple[str, str]]:
-    """Files and lines that a cell names."""
-    places, where = [], ""
-    for quoted in re.findall(r"`([^`]+)`", cell):
-        if quoted.endswith((".c", ".h", ".S")):
-            where = quoted
-        else:
-            places.append((where, quoted))
-    return places
-
-
 def test_each_row_of_the_table_is_in_the_source_and_has_its_test() -> None:
-    paths = [*Path(__file__).parent.glob("test_hil_*.py"), ROOT / "tests" / "doctor" / "test_doctor_loopback.py"]
-    tests = "".join(path.read_text(encoding="utf-8") for path in paths)
-    named: set[str] = set()
-    for rule, section, kept, test in rules():
-        assert re.match(r"[0-9.]+|ARM DDI|erratum RP2040-E", section), rule
-        for where, line in kept_by(kept):
-            assert line in (BOARD / where).resolve().read_text(), f"{rule}: {line!r} is not in {where}"
-        names = re.findall(r"`([^`]+)`", test)
-        assert names or test.startswith("by reading"), rule
-        for name in names:
-            assert name in DEFECTS or f"def {name}(" in tests, f"{rule}: no test {name}"
-        named |= set(names)
-    assert set(DEFECTS) <= named
+    check_rules(PAGE, BOARD, r"([0-9.]+|ARM DDI|erratum RP2040-E).*", DEFECTS.keys())
 
 
 def test_each_write_to_a_register_has_its_row() -> None:
-    told = "\n".join(line for row in rules() for _, line in kept_by(row[2]))
+    told = "\n".join(line for row in rules(PAGE) for _, line in kept_by(row[2]))
     written = {found[1] for path in BOARD.glob("*.[ch]") for found in WRITES.finditer(path.read_text())}
     written -= {"address", "reverse"}
     assert len(written) > 25
@@ -282,7 +242,7 @@ def test_each_address_is_the_data_sheets() -> None:
             r"#define (\w+)(?:\(pin\))? \(?0x([0-9A-F]{8})u(?: \+ (\d)u \* \(pin\)\))?", header
         )
     }
-    told = table("### Addresses")
+    told = table(PAGE, "### Addresses")
     assert len(told) >= 50
     for name, address, _ in told:
         number, _, step = address.partition(" + ")

@@ -16,6 +16,7 @@ import pytest
 from chip_host import HELD, QUIET, SETUP, ChipHost, armed_chip
 from evidence import evidence
 from firmware_copy import copied_firmware
+from register_table import check_rules, kept_by, rules
 from second_chip import SecondChip, SecondHost
 
 from emulated_chips import build as chip_build
@@ -306,7 +307,7 @@ def test_sleep_follows_sei() -> None:
 
 # ---------------------------------------------------------------------- the table in the documents
 
-ROOT = Path(__file__).parents[2]
+PAGE = "registers-uno.md"
 WRITES = re.compile(
     r"^\s+(?P<register>[A-Z][A-Z0-9]{2,}) [|&^]?= "
     r"|\b(?:set|clear)_bits\(&(?P<port>[A-Z]+),"
@@ -316,44 +317,14 @@ WRITES = re.compile(
 HARMLESS = {"wdt_reset", "sleep_cpu"}  # instructions, no writes
 
 
-def rows() -> list[list[str]]:
-    """Of the table: rule, section, what keeps it, test."""
-    text = (ROOT / "docs" / "evidence" / "registers-uno.md").read_text(encoding="utf-8")
-    table = text.split("## Registers against the data sheet")[1].split("\n\n| first drive")[0]
-    lines = [line for line in table.splitlines() if line.startswith("| ") and not line.startswith("| rule")]
-    return [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines]
-
-
-def kept_by(cell: str) -> list[tuple[str, str]]:
-    """Files and lines that a cell names."""
-    places, where = [], ""
-    for quoted in re.findall(r"`([^`]+)`", cell):
-        if quoted.endswith(".c"):
-            where = quoted
-        else:
-            places.append((where, quoted))
-    return places
-
-
 def test_each_row_of_the_table_is_in_the_source_and_has_its_test() -> None:
-    paths = [*Path(__file__).parent.glob("test_*.py"), ROOT / "tests" / "doctor" / "test_doctor_loopback.py"]
-    tests = "".join(path.read_text(encoding="utf-8") for path in paths)
-    for rule, section, kept, test in rows():
-        assert re.fullmatch(r"[0-9.]+((, | to )[0-9.]+)*", section), rule
-        for where, line in kept_by(kept):
-            assert line in (BRIDGE.parent / where).read_text(), f"{rule}: {line!r} is not in {where}"
-        names = re.findall(r"`([^`]+)`", test)
-        assert names or test.startswith("by reading"), rule
-        for name in names:
-            assert name in DEFECTS or f"def {name}(" in tests, f"{rule}: no test {name}"
-    assert set(DEFECTS) <= set(re.findall(r"`([^`]+)`", " ".join(row[3] for row in rows()))) | {
-        "as it was, with the mode before ICR1"
-    }
+    defects = DEFECTS.keys() - {"as it was, with the mode before ICR1"}
+    check_rules(PAGE, BRIDGE.parent, r"[0-9.]+((, | to )[0-9.]+)*", defects)
 
 
 def test_each_write_to_a_register_has_its_row() -> None:
-    told = {where: "" for where, _ in itertools.chain(*(kept_by(row[2]) for row in rows()))}
-    for where, line in itertools.chain(*(kept_by(row[2]) for row in rows())):
+    told = {where: "" for where, _ in itertools.chain(*(kept_by(row[2]) for row in rules(PAGE)))}
+    for where, line in itertools.chain(*(kept_by(row[2]) for row in rules(PAGE))):
         told[where] += line + "\n"
     written = {
         (path.name, name)

@@ -18,9 +18,7 @@ from rig.backends.serial.frames import (
     Code,
     DeviceState,
     Kind,
-    Nack,
     encode,
-    pack_ack,
     pack_arm,
     pack_drive,
 )
@@ -184,13 +182,6 @@ def test_no_drive_before_arming() -> None:
     assert host.board.truth().pin_changed_s < 0.0  # never
 
 
-def test_arming_needs_a_setup() -> None:
-    host = VirtualHost(VirtualBoard(BENCH))
-    assert host.arm_anew() == Code.NO_SETUP
-    host.drive(50)
-    assert host.pin_V() == 0.0
-
-
 @pytest.mark.parametrize("cause", [1, 2, 4, 8])
 def test_a_reset_at_any_instant_means_0_V_and_a_new_arming(cause: int) -> None:
     rng = random.Random(cause)
@@ -332,71 +323,6 @@ def test_recovery_that_moves_outward_is_stopped(side: int) -> None:
     assert abs(host.board.truth().y_rad - start_rad) < 36 * LSB_RAD
     assert host.pin_V() == 0.0
     assert host.state().fault == Code.POLARITY
-
-
-def test_setup_does_not_change_under_drive() -> None:
-    host = armed_host()
-    host.drive(100)
-    packet = host.ask(Kind.SETUP, SETUP._replace(max_drive=700, hard_lo=0).pack())
-    assert packet.kind == Kind.NACK and Nack.unpack(packet.body) == Nack(Code.SETUP_INVALID, Kind.SETUP)
-    host.drive(201)
-    latched_at_zero(host, Code.DRIVE_RANGE)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"hard_lo": 975},
-        {"rail_lo": 1018},
-        {"rail_hi": 1024},
-        {"max_drive": 0},
-        {"max_drive": 800},
-        {"watchdog_ms": 0},
-        {"watchdog_ms": 1001},
-        {"polarity": 0},
-        {"polarity": 2},
-        {"session": 0},
-        {"rail_lo": -1},
-    ],
-)
-def test_a_setup_that_would_void_a_promise_is_refused(change: dict[str, int]) -> None:
-    host = VirtualHost(VirtualBoard(BENCH))
-    packet = host.ask(Kind.SETUP, SETUP._replace(**change).pack())
-    assert packet.kind == Kind.NACK and Nack.unpack(packet.body) == Nack(Code.SETUP_INVALID, Kind.SETUP)
-    assert host.arm_anew() == Code.NO_SETUP
-
-
-def test_another_session_is_not_armed() -> None:
-    """Another program has sent its own limits meanwhile: this one's are no longer what the device holds."""
-    host = armed_host()
-    host.ask(Kind.STOP)
-    host.setup(SETUP._replace(session=SESSION + 1, hard_lo=5, max_drive=799))
-    assert host.state().session == SESSION + 1
-    assert host.arm(SESSION) == Code.SESSION
-    host.drive(100)
-    assert host.pin_V() == 0.0
-
-
-@pytest.mark.parametrize("sensor", ["broken_low", "broken_high"])
-def test_a_sensor_at_its_rail_while_disarmed_is_not_forgotten(sensor: SensorWiring) -> None:
-    host = armed_host()
-    host.ask(Kind.STOP)
-    host.board.rewire(sensor=sensor)
-    host.wait(2 * TICK_S)
-    assert host.ask(Kind.ACK, pack_ack(Code.SENSOR_RAIL)).kind == Kind.NACK  # as long as it is there
-    host.board.rewire()
-    host.wait(0.01)
-    latched_at_zero(host, Code.SENSOR_RAIL)
-
-
-def test_a_shaft_beyond_a_limit_while_disarmed_is_not_a_fault() -> None:
-    """It is armed to recover from there: only inward drive passes."""
-    host = armed_host()
-    host.ask(Kind.STOP)
-    host.board.place(480 * LSB_RAD)
-    host.wait(0.01)
-    assert host.state().status == 0
-    assert host.arm() == Code.NONE and host.state().status & STATUS_RECOVERING
 
 
 def test_stop_means_0_V_and_disarmed() -> None:

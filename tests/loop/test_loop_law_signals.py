@@ -24,7 +24,6 @@ from rig.control.loop.stop_request import STOP_SIGNALS, StopRequest, stop_on_sig
 from rig.core.faults import Fault
 from rig.core.signals import Sample
 
-Device = VirtualBoard | VirtualChip
 FROM_TICK = 30
 DRIVE_V = 0.62
 

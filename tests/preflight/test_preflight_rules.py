@@ -24,7 +24,7 @@ from rig.model.friction import Friction
 from rig.model.motor import Motor, State
 from rig.running.preflight import check, preflight
 from rig.running.preflight.loop_settings import guard_settings_of
-from rig.running.preflight.room_to_stop import counted_delay_s, room_for_delay_s, stopping_terms, watchdog_words
+from rig.running.preflight.room_to_stop import counted_delay_s, room_for_delay_s, stopping_rad, watchdog_words
 
 pytestmark = pytest.mark.long
 
@@ -400,7 +400,7 @@ def test_the_guard_reckons_with_every_term_of_the_stopping_sum(name: str) -> Non
     experiment = check(CONFIGS / name)[0]
     guard = guard_settings_of(experiment)
     travelled_rad = guard.max_speed_rad_s * (guard.reaction_s + guard.coast_tau_s)
-    assert travelled_rad == pytest.approx(sum(rad for _, rad in stopping_terms(experiment.device)))
+    assert travelled_rad == pytest.approx(stopping_rad(experiment.device))
 
 
 def test_the_guard_reckons_with_the_delay_that_was_shown() -> None:
@@ -441,7 +441,7 @@ def test_with_as_much_delay_as_there_is_room_for_the_shaft_just_stops(changes: d
     e = experiment(**changes)
     room_s, v, target = room_for_delay_s(e), e.limits.max_speed_rad_s, e.relay.target
     assert target is not None
-    reaction_s = sum(rad for _, rad in stopping_terms(e.device)) / v + room_s
+    reaction_s = stopping_rad(e.device) / v + room_s
     largest_rad = target.amplitude_rad * max(1.0, e.relay.second_ratio) * (1.0 + target.tolerance)
     arc = np.linspace(0.0, 1.0, 2001)
     stop_rad = float(np.max(largest_rad * (1.0 - arc**2) + 8.0 * largest_rad / target.period_s * arc * reaction_s))

@@ -21,7 +21,6 @@ from rig.run_folder.recording.recording import Recording
 T_S: Final = 0.01 * np.arange(30)
 U_V: Final = np.where(np.arange(30) // 5 % 2, -1.5, 1.5)
 Y_RAD: Final = 0.25 * np.sin(20.0 * T_S) + 0.1
-_FURTHER: Final = "--full 255 --supply-V 12 --counts-per-turn 1440"
 
 
 def log(names: str, mark: str = ",", row: str = "{t:.2f}{m}{u}{m}{y:.4f}", end: str = "\n") -> str:

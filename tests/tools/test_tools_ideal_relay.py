@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -14,50 +13,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from paper.ideal_relay import Relay, RelayRun, half_periods, ideal_relay, settled_cycle
+from paper.ideal_relay import Relay, RelayRun, ideal_relay, settled_cycle
 from rig.model.friction import Friction, coulomb, tustin
 from rig.model.limit_cycle import NoLimitCycle, limit_cycle
 from rig.model.motor import Motor, State
 
 # tau, K, fc, h1, h2 of the table of docs/theory.md 3.4
-TABLE = [
-    (1.0, 1.0, 0.5, 0.8, 1.0),
-    (1.0, 1.0, 0.5, 0.5, 1.2),
-    (0.17, 6.5, 0.5, 0.8, 1.0),
-    (0.35, 3.0, 0.4, 1.2, 1.35),
-    (0.17, 6.5, 0.0, 0.8, 1.0),
-]
 EXAMPLE = Motor(0.17, 6.5, coulomb(0.5))
 
 Switching = tuple[float, str, np.ndarray]  # when, of what, and the state there
-
-
-@pytest.mark.parametrize("row", TABLE)
-@pytest.mark.parametrize("start", [State(0.0, -0.2, -0.01), State(3.0, 1.0, 0.5)])
-def test_it_settles_in_the_cycle_of_theorem_2_1(row: tuple[float, ...], start: State) -> None:
-    tau, K, fc, h1, h2 = row
-    theory = limit_cycle(*row)
-    cycle = settled_cycle(Motor(tau, K, coulomb(fc)), h1, h2, start)
-    assert cycle.is_simple
-    assert cycle.durations_s == pytest.approx(theory.durations_s, abs=1e-9)
-    assert np.array(cycle.start) == pytest.approx(theory.states[0], abs=1e-9)
-    assert cycle.y_events_rad[:2] == pytest.approx(theory.states[:2, 1], abs=1e-9)
-    assert cycle.duration_s == pytest.approx(0.5 * theory.period_s, abs=1e-9)
-
-
-@pytest.mark.parametrize("row", TABLE)
-def test_it_comes_to_its_cycle_as_fast_as_theorem_2_2_says(row: tuple[float, ...]) -> None:
-    """The distance from the cycle falls by the largest eigenvalue of J from one half period to the next."""
-    tau, K, fc, h1, h2 = row
-    theory = limit_cycle(*row)
-    start = State(*(theory.states[0] * np.array([1.001, 1.001, 1.0])))
-    run = ideal_relay(Motor(tau, K, coulomb(fc)), Relay(h1, h2), start, 14.0 * theory.period_s, (-1.0, -1.0))
-    halves = half_periods(run.events)
-    distances = [math.hypot(half.start.v - theory.states[0, 0], half.start.y - theory.states[0, 1]) for half in halves]
-    largest = abs(theory.eigenvalues()[0])
-    rates = [b / a for a, b in pairwise(distances[8:17])]
-    assert distances[16] > 1e-9 * abs(theory.states[0, 1])  # still well above rounding
-    assert rates == pytest.approx([largest] * 8, rel=2e-3)
 
 
 @settings(max_examples=25, deadline=None)
@@ -121,17 +85,6 @@ def test_every_switching_is_that_of_an_ode_solver_with_events(motor: Motor, star
         assert np.array(event.state) == pytest.approx(x, abs=1e-9)
 
 
-def test_switchings_lie_on_their_planes_and_the_drive_follows_them() -> None:
-    run = ideal_relay(EXAMPLE, Relay(0.8, 1.0), State(0.0, -0.2, -0.01), 3.0)
-    sign = {"position": -1.0, "integral": -1.0}
-    for event in run.events:
-        plane = {"velocity": 0, "position": 1, "integral": 2}[event.kind]
-        assert event.state[plane] == 0.0
-        if plane:
-            sign[event.kind] = -sign[event.kind]
-        assert event.u_V == pytest.approx(-0.8 * sign["position"] - 1.0 * sign["integral"])
-
-
 @pytest.mark.parametrize("friction", [coulomb(0.5), tustin(0.5, 0.6, 0.2)])
 def test_sampled_it_is_the_motor_under_the_drive_that_it_gave(friction: Friction) -> None:
     motor = Motor(0.17, 6.5, friction)
@@ -185,27 +138,6 @@ def test_a_motor_that_sticks_waits_for_the_integral_and_then_goes_on() -> None:
 # ------------------------------------------------------------------ Stribeck friction: docs/theory.md 8.1
 
 # Chosen, and not the paper's, whose Stribeck parameters did not survive: with these the cycle has its digits.
-EXAMPLE_4_3 = Motor(0.17, 6.75, tustin(0.39, 0.8361, 0.4, 0.03665))
-
-
-def test_chosen_stribeck_parameters_give_the_surviving_digits_of_example_4_3() -> None:
-    cycle = settled_cycle(EXAMPLE_4_3, 0.8, 1.0, State(0.0, -0.2, -0.01))
-    assert cycle.is_simple
-    assert [round(t, 4) for t in cycle.durations_s] == [0.0080, 0.1400, 0.1566]
-    assert round(abs(cycle.y_events_rad[1]), 4) == 0.3871
-
-
-def test_a_small_stribeck_effect_moves_the_cycle_a_little_and_viscous_friction_is_in_tau_and_K() -> None:
-    theory = limit_cycle(0.17, 6.5, 0.5, 0.8, 1.0)
-    start = State(0.0, -0.2, -0.01)
-    near = settled_cycle(Motor(0.17, 6.5, tustin(0.5, 0.5001, 0.1)), 0.8, 1.0, start)
-    assert near.durations_s == pytest.approx(theory.durations_s, rel=1e-3)
-    assert near.durations_s != pytest.approx(theory.durations_s, rel=1e-8)
-    viscous = settled_cycle(Motor(0.17, 6.5, tustin(0.5, 0.5, 0.0, 0.02)), 0.8, 1.0, start)
-    shown = limit_cycle(0.17 / 1.13, 6.5 / 1.13, 0.5, 0.8, 1.0)
-    assert viscous.durations_s == pytest.approx(shown.durations_s, abs=1e-9)
-
-
 # ------------------------------------------------------------------ the single hysteretic relay: docs/theory.md 5.1
 
 

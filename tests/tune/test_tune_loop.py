@@ -24,7 +24,6 @@ SENSING = Sensing(0.01, 0.003, 4.1e-3, 3.0)
 FRAMED = FramedMotor.of({"tau_s": 0.17, "K_rad_s_V": 6.5, "fc_V": 0.48, "bias_V": -0.01})
 MOTOR = UncertainMotor(FRAMED, 0.0012, (0.003, 0.1, 0.005, 0.001, 0.0002), np.eye(5))
 POSITION = Wish("position", 0.5, top_rad_s=4.4)
-VELOCITY = Wish("velocity", 1.5, top_rad_s=4.4)
 
 
 @pytest.fixture(scope="module")

@@ -55,11 +55,6 @@ class Friction:
                 given[f"load_friction_{side}{ending}"] = both
         return cls(**{name: value for name, value in given.items() if name in cls.__dataclass_fields__})
 
-    @property
-    def is_by_load(self) -> bool:
-        """Whether friction grows with the torque that is transmitted."""
-        return self.load_friction_motor != 0.0
-
     def falls(self, speed: Array) -> Array:
         """What is left of the Stribeck parts at each speed, rad/s."""
         return np.asarray(np.exp(-((speed / self.dtheta_stribeck) ** self.alpha)))

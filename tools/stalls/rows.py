@@ -33,7 +33,7 @@ from rig.run_folder.recording.recording import Recording
 from rig.running.experiment.stages import identify_recorded
 from rig.running.experiment.until import drive_until
 from rig.running.preflight.breakaway_strokes import breakaway_strokes
-from rig.running.preflight.room_to_stop import room_rad, stopping_terms
+from rig.running.preflight.room_to_stop import room_rad, stopping_rad
 from rig.running.session import Session
 from stalls.hostile_host import HostileHost, Stalls
 from stopping.in_memory import driven
@@ -119,7 +119,7 @@ def config_of(one: Draw, campaign: Campaign, watchdog_s: float, board: Board = "
     )
     e = next((trial for trial in levels if breakaway_strokes(trial) is not None), e.model_copy(update=given))
     e = checked(e)
-    slower = FASTEST_RAD_S * min(SHARE * room_rad(e.device) / sum(rad for _, rad in stopping_terms(e.device)), 1.0)
+    slower = FASTEST_RAD_S * min(SHARE * room_rad(e.device) / stopping_rad(e.device), 1.0)
     return e.model_copy(update={"limits": e.limits.model_copy(update={"max_speed_rad_s": slower})})
 
 

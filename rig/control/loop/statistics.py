@@ -81,10 +81,8 @@ class LoopStatistics:
     def summary(self) -> LoopResult:
         """The loop for result.json; with ``device`` if a relay in the device has run."""
         device = DeviceLoop(period_s=self.device_tick_s, ticks=self.device_ticks, missed=self.device_missed)
-        return LoopResult(
-            period_s=self.period_s,
-            ticks=self.ticks,
-            skipped=self.skipped,
+        return LoopResult.of(
+            self,
             late_us=self._late.quantiles(),
             io_us=self._io.quantiles(),
             compute_us=self._compute.quantiles(),

@@ -15,7 +15,7 @@ import numpy as np
 
 from rig.design.tune.margins import Margins, Matrices, margins, motor_matrices, worst
 from rig.design.tune.tuning import TuneError
-from rig.design.tune.uncertain import LinearMotor, UncertainMotor
+from rig.design.tune.uncertain import UncertainMotor
 from rig.run_folder.recording.servo_law import Scale
 from rig.run_folder.results import JsonObject
 
@@ -127,12 +127,8 @@ def servo_loop(motor: UncertainMotor, mode: PositionMode, supply_V: float, least
 def _margins(motor: UncertainMotor, gain_V_rad: float) -> Margins:
     """The least over the motors of the intervals, with the servo's own delay in the place of the bench's."""
     controller = Matrices(np.zeros((1, 1)), np.zeros(1), np.zeros(1), -gain_V_rad)
-    inside = {_in_servo(corner) for corner in motor.corners()}
+    inside = {replace(corner, delay_s=_LATE_S) for corner in motor.corners()}
     return worst(margins(controller, motor_matrices(one, PERIOD_S), PERIOD_S) for one in inside)
-
-
-def _in_servo(motor: LinearMotor) -> LinearMotor:
-    return replace(motor, delay_s=_LATE_S)
 
 
 def _held_rad(motor: UncertainMotor, gain_V_rad: float) -> float:

@@ -226,13 +226,11 @@ def _run(run: ComparedRun, bench: int, off: tuple[Array, Array, float], beyond: 
     numbers, errors = run.numbers, np.sqrt(np.diag(run.covariance)) * np.array([*run.numbers[:2], 1.0])
     by, error, chance = off
     normal = quantile(math.inf)
-    return ComparedRunResult(
-        name=run.name,
+    return ComparedRunResult.of(
+        run,
         folder=str(run.folder),
         started_utc=run.meta.started_utc,
-        temperature_C=run.temperature_C,
         bench=bench,
-        verdict=run.verdict,
         tau_s=float(numbers[0]),
         K_rad_s_V=float(numbers[1]),
         fc_V=float(numbers[2]),
@@ -240,7 +238,6 @@ def _run(run: ComparedRun, bench: int, off: tuple[Array, Array, float], beyond: 
             key: (float(value - normal * e), float(value + normal * e))
             for key, value, e in zip(MAIN, numbers, errors, strict=True)
         },
-        laws=run.laws,
         off_percent={key: _percent(key, float(one)) for key, one in zip(MAIN, by, strict=True)},
         off_ci95_percent={
             key: (_percent(key, float(one - normal * e)), _percent(key, float(one + normal * e)))

@@ -96,7 +96,7 @@ class CsvText:
         content, notes = whole_content(path, own=own)
         _check_magic(path, content)
         content, encoded = (content, []) if own else _in_utf8(content)
-        whole, torn = without_torn_line(path, _with_line_feeds(content))
+        whole, torn = without_torn_line(path, content if b"\n" in content else content.replace(b"\r", b"\n"))
         notes = [*notes, *encoded, *torn]
         lines = lines_of(path, whole)
         found = None if own else table_in(lines)
@@ -256,11 +256,6 @@ def _check_magic(path: Path, content: bytes) -> None:
     for magic, (cause, cure) in _NO_CSV.items():
         if content.startswith(magic):
             raise RecordingError(path, cause, cure.format(path=quote(str(path))))
-
-
-def _with_line_feeds(content: bytes) -> bytes:
-    """The content with line feeds, if its lines end in carriage returns alone."""
-    return content if b"\n" in content else content.replace(b"\r", b"\n")
 
 
 def _has_decimal_commas(lines: Sequence[str], numbers: Sequence[int]) -> bool:

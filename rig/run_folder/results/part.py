@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from enum import Enum
-from typing import Annotated, Any, Final, TypeVar, cast
+from typing import Annotated, Any, Final, Self, TypeVar, cast
 
 from pydantic import (
     BaseModel,
@@ -65,6 +65,12 @@ class Part(BaseModel):
     """
 
     model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False, populate_by_name=True, defer_build=True)
+
+    @classmethod
+    def of(cls, one: object, **others: object) -> Self:
+        """The part with all that ``one`` has under the names of its keys; ``others`` go before that."""
+        own = {name: getattr(one, name) for name in cls.model_fields if name not in others and hasattr(one, name)}
+        return cls.model_validate(own | others)
 
     def as_json(self) -> JsonObject:
         """The part as JSON: the keys that were set, in the order of the class; unknown keys last."""

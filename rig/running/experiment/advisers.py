@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from typing import Protocol
 
@@ -130,7 +130,7 @@ def advisers_of(session: Session) -> Iterator[Advisers]:
     """Who advises in a run: in real time another process, which ends with the block."""
     guard = session.loop.guard
     if isinstance(session.bench.clock, MonotonicClock):
-        with LiveProcess(session.folder) as process:
+        with closing(LiveProcess(session.folder)) as process:
             yield AtTurns(process, guard)
     else:
         yield AtTurns(InTheLoop(session), guard)

@@ -110,12 +110,6 @@ class LiveProcess:
         self._thread.join(_CLOSES_S)
         self._last_thread.join(_CLOSES_S)
 
-    def __enter__(self) -> LiveProcess:
-        return self
-
-    def __exit__(self, *of_error: object) -> None:
-        self.close()
-
     def _tell(self, message: bytes) -> None:
         """Send a message. All messages of a run fit into the pipe, so nothing waits even if nobody reads them."""
         process = self._process

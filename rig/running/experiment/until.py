@@ -358,18 +358,13 @@ class _Tests:
 
 def live_result(estimate: LiveEstimate) -> LiveResult:
     """A live estimate as result.json and events.jsonl have it."""
-    return LiveResult(
-        row=estimate.row,
+    return LiveResult.of(
+        estimate,
         of_s=estimate.t_s,
-        tau_s=estimate.tau_s,
-        K_rad_s_V=estimate.K_rad_s_V,
-        fc_V=estimate.fc_V,
         tau_percent=estimate.half_percent["tau_s"],
         K_percent=estimate.half_percent["K_rad_s_V"],
         fc_percent=estimate.half_percent["fc_V"],
-        residual_over_noise=estimate.residual_over_noise,
         laws=", ".join(estimate.laws),
-        drives_differ=estimate.drives_differ,
     )
 
 

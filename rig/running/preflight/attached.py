@@ -9,7 +9,7 @@ from rig.backends.servo.rules import full_drive_stays_inside, has_watchdog
 from rig.backends.servo.section import Servo
 from rig.config.problems import Problem, wrong
 from rig.config.schema import DeviceSetup, Experiment, LoadSection
-from rig.running.preflight.room_to_stop import limits_are_ordered, stopping_terms
+from rig.running.preflight.room_to_stop import limits_are_ordered, stopping_rad
 
 _GRAVITY_M_S2: Final = 9.81
 _FRICTIONS: Final = 3.0  # times static friction that breakaway.max_V is, at most: its description
@@ -36,7 +36,7 @@ def joint_silence_s(d: DeviceSetup, servo: Servo) -> float:
 
     The servo counts its silence in units of 20 ms: the last one may have begun just after the last instruction.
     """
-    watched_s = sum(rad for _, rad in stopping_terms(d)) / d.limits.max_speed_rad_s
+    watched_s = stopping_rad(d) / d.limits.max_speed_rad_s
     return watched_s + servo.table.role("watchdog").scale
 
 

@@ -24,10 +24,10 @@ def guard_settings_of(
         rail_counts=experiment.sensor.rails,
         max_speed_rad_s=t.max_speed_rad_s,
         coast_tau_s=t.coast_tau_s,
-        reaction_s=known_reaction_s(d),  # as in `rig check`
         noise_rad=2.0 * lsb_rad if noise_rad is None else max(noise_rad, lsb_rad),
         motion_rad=experiment.breakaway.motion_rad,
         delay_s=0.0 if delay is None else counted_delay_s(d, delay),
+        reaction_s=known_reaction_s(d),  # as in `rig check`
         free_rad_s=0.0
         if experiment.motor is None
         else experiment.motor.no_load_speed_rad_s * experiment.drive.max_V / experiment.drive.supply_V,

@@ -98,6 +98,11 @@ def stopping_terms(d: DeviceSetup) -> tuple[tuple[str, float], ...]:
     )
 
 
+def stopping_rad(d: DeviceSetup) -> float:
+    """What ``stopping_terms`` add up to, rad."""
+    return sum(rad for _, rad in stopping_terms(d))
+
+
 def counted_delay_s(d: DeviceSetup, delay: BenchDelay) -> float:
     """The part of a bench's delay that ``stopping_terms`` leave out, s, at most: what is beyond a drive's own tick.
 
@@ -124,7 +129,7 @@ def room_for_delay_s(e: Experiment) -> float:
     """
     d = e.device
     v, target = e.limits.max_speed_rad_s, e.relay.target
-    distance = sum(rad for _, rad in stopping_terms(d))
+    distance = stopping_rad(d)
     room_s = (room_rad(d) - distance) / v
     if target is None:
         return room_s
@@ -175,7 +180,7 @@ def stopping_sum(d: DeviceSetup) -> str:
     """``stopping_terms`` and what they add up to, for people."""
     terms = stopping_terms(d)
     written = " + ".join(f"{rad:.3f} ({words})" for words, rad in terms)
-    total = f"at {d.limits.max_speed_rad_s:g} rad/s: {written} = {sum(rad for _, rad in terms):.3f} rad"
+    total = f"at {d.limits.max_speed_rad_s:g} rad/s: {written} = {stopping_rad(d):.3f} rad"
     if device_watchdog_s(d) is None:
         return f"{total} while the host lives; if the host dies nothing bounds it: the device has no watchdog"
     if not backend_of(d).watchdog(d).certain and d.daq.accept_no_watchdog:
@@ -194,7 +199,7 @@ def predicted_stop_rad(d: DeviceSetup, amplitude_rad: float, period_s: float) ->
     A cycle of constant accelerations, y = A (1 - s^2) with v = 8 A s/T at s = 0..1 from its top, is faster than the
     motor's; its largest y + v r is A (1 + (4 r/T)^2) within the arc, else 8 A r/T at the centre.
     """
-    r = sum(rad for _, rad in stopping_terms(d)) / d.limits.max_speed_rad_s
+    r = stopping_rad(d) / d.limits.max_speed_rad_s
     s = 4.0 * r / period_s
     return amplitude_rad * (1.0 + s * s if s < 1.0 else 2.0 * s)
 
@@ -216,7 +221,7 @@ def survey_room(e: Experiment, slowest_rad_s: float, bandwidth_1_s: float) -> Ro
     """What there is for the sweeps, with a sensor that resolves this speed and a loop of this bandwidth."""
     ends = zip(e.limits.soft_rad, e.limits.hard_rad, strict=True)
     # at a soft limit, at this speed, the guard would just not brake yet
-    horizon_s = sum(rad for _, rad in stopping_terms(e.device)) / e.limits.max_speed_rad_s
+    horizon_s = stopping_rad(e.device) / e.limits.max_speed_rad_s
     by_stopping_rad_s = min(abs(hard - soft) for soft, hard in ends) / horizon_s
     return Room(
         e.limits.soft_rad,

@@ -17,10 +17,10 @@ from rig.backends.registry import rules as device_rules
 from rig.config.load import Given, load_with_places, read
 from rig.config.messages import unplaced
 from rig.config.problems import ConfigError, Path, Problem, bracketed, printable, wrong
-from rig.config.schema import DeviceSetup, Experiment, RelayGainsSection, RelayTarget
-from rig.control.laws import OptionError, construct, registered
+from rig.config.schema import DeviceSetup, Experiment, RelayGainsSection
+from rig.control.laws import construct, registered
 from rig.control.sweep_plan import TooShortError
-from rig.core.plug_ins import PlugInError
+from rig.core.plug_ins import OptionError, PlugInError
 from rig.core.signals import percent, plain
 from rig.running.preflight import room_to_stop as stopping
 from rig.running.preflight.attached import attached_rules
@@ -273,11 +273,6 @@ def _gains(e: Experiment) -> Iterator[Problem]:
             )
 
 
-def _largest_amplitude_rad(e: Experiment, target: RelayTarget) -> float:
-    """Amplitude of the larger of the two tests: the second has ``second_ratio`` times the first's, rad."""
-    return target.amplitude_rad * max(1.0, e.relay.second_ratio)
-
-
 def _target(e: Experiment) -> Iterator[Problem]:
     d = e.device
     target = e.relay.target
@@ -304,7 +299,7 @@ def _target(e: Experiment) -> Iterator[Problem]:
     if not stopping.limits_are_ordered(d):
         return
     soft_rad = stopping.reach_rad(d)
-    amplitude_rad = _largest_amplitude_rad(e, target)
+    amplitude_rad = target.amplitude_rad * max(1.0, e.relay.second_ratio)  # of the larger of both tests
     largest_rad = amplitude_rad * (1.0 + target.tolerance)
     if largest_rad > soft_rad:
         yield wrong(

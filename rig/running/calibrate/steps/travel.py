@@ -9,7 +9,7 @@ from rig.running.calibrate import wiring
 from rig.running.calibrate.dialogue import Read, Refusal, Say, Talk
 from rig.running.calibrate.draft import Draft
 from rig.running.calibrate.steps.questions import MOVED_COUNTS, must_stand
-from rig.running.preflight.room_to_stop import limits_are_ordered, room_rad, stopping_terms
+from rig.running.preflight.room_to_stop import limits_are_ordered, room_rad, stopping_rad
 
 MARGIN_RAD = 0.2  # from a hard limit to the stop behind it
 _LEAST_RAD = 0.3  # from the centre to a hard limit: less is too little to stop and to measure in
@@ -113,7 +113,7 @@ def _with_room_to_stop(talk: Talk, draft: Draft) -> Draft:
     """With a largest speed from which the shaft stops inside the limits, if somebody says yes to that."""
     e = draft.experiment
     d = e.device
-    distance_rad, room = sum(rad for _, rad in stopping_terms(d)), room_rad(d)
+    distance_rad, room = stopping_rad(d), room_rad(d)
     if not limits_are_ordered(d) or distance_rad <= room:
         return draft
     speed_rad_s = math.floor(100.0 * e.limits.max_speed_rad_s * room / distance_rad) / 100.0
