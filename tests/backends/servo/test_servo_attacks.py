@@ -492,6 +492,30 @@ def test_a_servo_that_restarts_while_facts_are_tried_never_gets_its_torque(
     assert not bench.servo.is_on and bench.wrong() == []
 
 
+@pytest.mark.parametrize(("role", "value"), [("drive", 3), ("drive", 120), ("goal_position", None), ("torque", 0)])
+def test_no_fact_switches_a_servo_on_that_has_lost_its_supply(role: str, value: int | None) -> None:
+    """A goal may do so, and that of the duty is another one in the mode that it starts with."""
+    bench = Bench("feetech", torque_on_by_goal=True, goal_at_boot=0)
+    model = bench.setup.model
+    register = model.role(role) if role in model.roles else model[role]
+    begins = bench.driver._bus.writing(register.address, register.pack(value or 0), "").data
+    begins = begins if value is not None else begins[: -1 - register.size]
+    at_s: list[float] = []
+
+    def ahead(data: bytes) -> bool:
+        is_it = bench.servo.is_on and data.startswith(begins)
+        at_s.extend([bench.bus.now_s()] if is_it else [])
+        return is_it
+
+    restarting_ahead_of(bench, ahead)
+    with pytest.raises(Fault, match=r"DEVICE_RESET|ARM_READBACK"):
+        list(facts(bench.driver._link, bench.store))
+    goals = (model.role("drive").address, model["goal_position"].address)
+    later = [f for t_s, f in bench.bus.bus.log if isinstance(f, feetech.Frame) and t_s > at_s[0] + 0.001]
+    assert not [f for f in later if f.code == feetech.Instruction.WRITE and f.parameters[0] in goals]
+    assert not bench.servo.is_on and bench.wrong() == []
+
+
 def test_a_servo_that_drives_when_it_starts_is_not_rebooted() -> None:
     bench = Bench()
     bench.servo.put("startup_configuration", 1)
