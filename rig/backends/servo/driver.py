@@ -206,10 +206,10 @@ class ServoDriver(RegisterDriver[Ask]):
         """
         self._until_there()
         left = leave_no_trace(self._link, self._setup, self._store)
-        remarks = look(self._link, self._setup)
+        remarks = look(self._link, self._setup, left.others)
         if self._setup.supply_switch and person.asks is not None:
             try_switch(self._link, self._setup, self._store, person.asks)
-            remarks = look(self._link, self._setup)  # it has started anew
+            look(self._link, self._setup, remarks)  # it has started anew
             self._is_switch_tried = True
         opened = set_up(self._link, self._setup, self._store, self._have_it_watched)
         self._map = replace(self._map, watchdog=self._map.watchdog if opened.has_watchdog else None)

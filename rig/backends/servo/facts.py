@@ -75,8 +75,7 @@ def facts(
     Raises Fault as an opening does, and LINK_*.
     """
     setup = setup_for(link)
-    leave_no_trace(link, setup, store)
-    look(link, setup)
+    look(link, setup, leave_no_trace(link, setup, store).others)
     watching: list[Guardian] = []
 
     def watched() -> None:

@@ -171,6 +171,21 @@ def test_a_run_that_is_killed_anywhere_is_put_right_by_the_next(protocol: str, s
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_an_opening_that_puts_back_asks_no_id_more_often_than_another(protocol: str) -> None:
+    """To ask all of them takes seconds."""
+    bench, absent, pings = Bench(protocol), 9, list[int]()
+    asks = bench.driver._bus.ping(absent).data
+    for _ in range(2):
+        written: list[bytes] = []
+        send = bench.bus.write
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(bench.bus, "write", lambda data, w=written, s=send: (w.append(data), s(data)))
+            bench.another().open()
+        pings.append(written.count(asks))
+    assert pings[0] == pings[1] > 0
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_nothing_is_written_to_a_servo_that_falls_silent_before_its_values_are_kept(
     protocol: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
