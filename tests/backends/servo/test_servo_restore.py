@@ -265,6 +265,23 @@ def test_a_late_answer_to_another_write_of_the_keeper_confirms_none_that_was_los
         assert not bench.servo.is_on and (not restored or owned(bench) == before), lost - 1
 
 
+def test_the_last_that_a_keeper_writes_is_torque_off() -> None:
+    """A duty that is put back may have switched it on."""
+    bench = Bench("feetech", torque_on_by_goal=True)
+    bench.servo._set("mode", bench.setup.model.pwm_mode)
+    keeper = bench.driver._start_guardian = Keeper(bench)
+    bench.armed()
+    assert keeper.stop() and keeper.restore() and not bench.servo.is_on
+
+
+def test_the_next_run_tells_what_the_keeper_did(tmp_path: Path) -> None:
+    bench = Bench(store=BeforeStore(tmp_path / "servo.json"))
+    bench.driver._start_guardian = keeper = Keeper(bench)
+    assert bench.store.note_path is not None
+    keeper.tell("", str(bench.store.note_path), stopped=True, restored=True)
+    assert any("stopped it" in remark for remark in bench.opened().remarks)
+
+
 def test_nothing_is_written_where_the_values_of_before_cannot_be_kept(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     bench = Bench(store=BeforeStore(tmp_path / "file" / "servo.json"))
