@@ -76,7 +76,7 @@ def test_a_servo_that_restarts_while_it_is_armed_never_gets_its_torque(protocol:
 
     A Dynamixel has forgotten its watchdog, too.
     """
-    bench = Bench(protocol, goal_at_boot=0)
+    bench = Bench(protocol, goal_at_boot=0, torque_on_by_goal=True)
     use_limit_of_config(bench)
     bench.opened()
     bus, model = bench.driver._bus, bench.setup.model
@@ -90,7 +90,7 @@ def test_a_servo_that_restarts_while_it_is_armed_never_gets_its_torque(protocol:
     restarted = restarting_ahead_of(bench, asks[what].data.__eq__)
     with pytest.raises(Fault, match=r"DEVICE_RESET|ARM_READBACK"):
         bench.driver.arm(bench.limits)
-    assert restarted and bench.wrong() == [] and bench.servo.truth().y_rad == stood_rad
+    assert restarted and bench.wrong() == [] and bench.servo.truth().y_rad == stood_rad and not bench.servo.is_on
     assert bench.driver.safe_stop() and not bench.servo.is_on
 
 
