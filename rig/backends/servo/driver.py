@@ -575,13 +575,11 @@ class ServoDriver(RegisterDriver[Ask]):
         self._driven_s = reply.executed_s
         steps = self._steps
         begins_s = steps.next_s(self._driven_s) if steps.is_known else self._driven_s + 0.5 * STEP_S
-        self._take(self._way(begins_s, units))
+        # until then the drive of before is ramped on
+        before = self._units if begins_s >= self._steady_s else self._ways[-1].at(begins_s)
+        self._take(_new(_Way, (begins_s, before, units, self._slope_units_s)))
         if steps.is_known and reply.latest_s - reply.executed_s - self._waits_s > self._late_s:
             self._look_when_it_began()
-
-    def _way(self, begins_s: float, units: int) -> _Way:
-        """A drive that begins then: until then the one before is ramped on."""
-        return _new(_Way, (begins_s, self._ways[-1].at(begins_s), units, self._slope_units_s))
 
     def _take(self, way: _Way) -> None:
         """The last drive: when it acts, and until when it is ramped."""
@@ -614,7 +612,8 @@ class ServoDriver(RegisterDriver[Ask]):
             return
         way = self._ways.pop()
         steps = range(math.ceil(max(at_s - way.begins_s, 0.0) / STEP_S) + 1)
-        ways = [self._way(way.begins_s + step * STEP_S, round(way.end)) for step in steps]
+        starts = [(start_s, self._ways[-1].at(start_s)) for start_s in (way.begins_s + k * STEP_S for k in steps)]
+        ways = [way._replace(begins_s=begins_s, start=start) for begins_s, start in starts]
         self._take(min(ways, key=lambda one: abs(one.at(at_s) - applied)))
 
     def _may_act(self) -> tuple[float, float]:
