@@ -10,6 +10,7 @@ import math
 import statistics
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -358,12 +359,12 @@ def _p_scale(link: ServoLink) -> Fact:
         for goal in range(at - _P_GOALS * counts, at + _P_GOALS * counts + 1, counts):
             if not low <= goal <= high:
                 continue
-            link.in_one_go(lambda one, goal=goal: go_to(one, goal))  # type: ignore[misc]
+            link.in_one_go(partial(go_to, goal=goal))
             link.client.wait(_ACTS_S)
             error, duty = goal - link.value(position), link.value(applied)
             if abs(duty) < _P_MOST_STEPS:
                 products, squares = products + error * duty, squares + error * error
-        link.in_one_go(lambda one: go_to(one, rests))  # with the torque off it might switch that on
+        link.in_one_go(partial(go_to, goal=rests))  # with the torque off it might switch that on
     finally:
         _off(link)
     if not products > 0.0:
