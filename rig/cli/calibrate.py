@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +10,19 @@ from pathlib import Path
 import click
 
 from rig.cli.driving import let_ask
-from rig.cli.shared import CONFIG, EXIT_FAILED, FILE, JSON, OUT, PACE, asks_json, ended_in_words, fail, say_json
+from rig.cli.shared import (
+    CONFIG,
+    EXIT_FAILED,
+    FILE,
+    JSON,
+    OUT,
+    PACE,
+    asks_json,
+    end_no_more,
+    ended_in_words,
+    fail,
+    say_json,
+)
 from rig.config.problems import key_of
 from rig.core.signals import plain
 from rig.run_folder.live.running import told
@@ -137,8 +148,8 @@ class _Terminal:
         """Nothing: who sits at a terminal sees the bench."""
 
     def writes(self) -> None:
-        """A SIGTERM is too late now. Ctrl-C says that it was interrupted, not what is written."""
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        """A signal is too late now. Ctrl-C says that it was interrupted, not what is written."""
+        end_no_more()
 
     def _echo(self, words: str) -> None:
         click.echo(words, err=self._err)

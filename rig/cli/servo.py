@@ -20,7 +20,8 @@ if TYPE_CHECKING:  # pyserial comes with it
     from rig.run_folder.live.stop_flag import StopFlag
 
 _SILENCE_S = 0.2  # after which the keeper stops a horn that turns
-_BAUD = click.option("--baud", type=int, default=1_000_000, show_default=True, help="Of the bus.")
+_BAUDS = click.IntRange(9600, 4_500_000)  # that any servo has
+_BAUD = click.option("--baud", type=_BAUDS, default=1_000_000, show_default=True, help="Of the bus.")
 _YES = click.option("--yes", is_flag=True, help="Do not ask.")
 _PORT = click.argument("port")
 _ID = click.argument("id", type=click.IntRange(0, 252))
@@ -36,7 +37,7 @@ def servo() -> None:
 
 @servo.command()
 @click.argument("port", required=False)
-@click.option("--baud", "bauds", type=int, multiple=True, help="Of the bus; default: 1000000, 57600, 115200.")
+@click.option("--baud", "bauds", type=_BAUDS, multiple=True, help="Of the bus; default: 1000000, 57600, 115200.")
 @JSON
 def scan(port: str | None, bauds: tuple[int, ...]) -> None:
     """Show who is on a bus, and what a run would refuse. It changes nothing.
@@ -45,16 +46,17 @@ def scan(port: str | None, bauds: tuple[int, ...]) -> None:
     """
     from rig.backends.servo.scan import USUAL_BAUDS, scan
 
-    found: list[dict[str, object]] = []
+    asked, found = bauds or USUAL_BAUDS, list[dict[str, object]]()
     for name in [port] if port is not None else _ports():
-        for seen in scan(lambda baud, name=name: opened(name, baud), bauds or USUAL_BAUDS):  # type: ignore[misc]
+        for seen in scan(lambda baud, name=name: opened(name, baud), asked):  # type: ignore[misc]
             found.append({"port": name, **_told(seen)})
             if not asks_json():
                 _say(name, seen)
     if asks_json():
         say_json({"servos": found})
     elif not found:
-        click.echo("no servo answers: check its supply, the wires and the port, or name another --baud")
+        at = ", ".join(map(str, asked))
+        click.echo(f"no servo answers at {at} baud: check its supply, the wires and the port, or name another --baud")
 
 
 @servo.command()
@@ -269,7 +271,7 @@ def _told(seen: Seen) -> dict[str, object]:
 def _say(port: str, seen: Seen) -> None:
     where = f"{Path(port).name}, {seen.baud} baud, id {seen.id}"
     if seen.model is None:
-        click.echo(f"{where}: model number {seen.number}, which rig does not know")
+        click.echo(f"{where}: model number {seen.number}, which rig does not know; docs/servo.md says which it does")
         return
     click.echo(
         f"{where}: {seen.model.name}, firmware {seen.firmware}, mode {seen.mode}, {seen.supply_V:.1f} V, "

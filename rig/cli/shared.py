@@ -28,6 +28,7 @@ if TYPE_CHECKING:  # it loads slowly
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
 _JSON = "rig.cli.json"
+_ENDS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
 def asks_json() -> bool:
@@ -61,20 +62,31 @@ class EndedError(CauseError):
 
 @contextlib.contextmanager
 def ended_in_words(cause: str, cure: str) -> Iterator[None]:
-    """Within the block a SIGTERM ends it in these words, and what is open is closed; what drives may take it by itself.
+    """Within the block a SIGTERM or SIGHUP ends it in these words, and what is open is closed; unless what drives does.
 
-    One more is too late: it would end the putting back. Raises EndedError.
+    One more is too late: it would end the putting back. A SIGHUP that is ignored, as after `nohup`, stays so.
+    Raises EndedError.
     """
 
     def ended(number: int, frame: FrameType | None) -> NoReturn:
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        raise EndedError(f"ended by SIGTERM; {cause}", cure)
+        end_no_more()
+        raise EndedError(f"ended by {signal.Signals(number).name}; {cause}", cure)
 
-    before = signal.signal(signal.SIGTERM, ended)
+    before = {one: signal.getsignal(one) for one in _ENDS}
+    for one, handler in before.items():
+        if handler is not signal.SIG_IGN:
+            signal.signal(one, ended)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for one, handler in before.items():
+            signal.signal(one, handler)
+
+
+def end_no_more() -> None:
+    """It is too late for the signals of ``ended_in_words``."""
+    for one in _ENDS:
+        signal.signal(one, signal.SIG_IGN)
 
 
 def as_typed(cure: str) -> str:

@@ -61,18 +61,21 @@ def assert_as_the_truth(file: Path, *, rpc: float = RPC, centre: float = CENTRE)
     assert e.drive.reversed is True
 
 
-def test_a_sigterm_at_a_question_ends_it_in_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_at_a_question_ends_it_in_words(
+    number: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     file = bench(tmp_path, "simulated", None)
-    before, handler = file.read_text(), signal.getsignal(signal.SIGTERM)
+    before, handler = file.read_text(), signal.getsignal(number)
 
     def lines(_: Path | None) -> Iterator[str]:
-        os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), number)
         yield "yes"
 
     monkeypatch.setattr("rig.cli.calibrate._lines", lines)
     done = calibrated(file, ANGLES)
-    assert done.exit_code == 1 and "ended by SIGTERM; nothing is written" in done.output
-    assert file.read_text() == before and signal.getsignal(signal.SIGTERM) == handler
+    assert done.exit_code == 1 and f"ended by {number.name}; nothing is written" in done.output
+    assert file.read_text() == before and signal.getsignal(number) == handler
 
 
 def test_every_step_on_a_simulated_bench(tmp_path: Path) -> None:

@@ -48,7 +48,8 @@ def test_a_scan_shows_every_servo_and_what_would_be_refused(port: str) -> None:
 
 
 def test_a_scan_at_another_baud_finds_nobody(port: str) -> None:
-    assert "no servo answers" in said("servo", "scan", port, "--baud", "57600")
+    assert "no servo answers at 57600 baud" in said("servo", "scan", port, "--baud", "57600")
+    assert "9600<=x<=4500000" in said("servo", "scan", port, "--baud", "0", status=2)
 
 
 def test_all_registers_are_shown(port: str) -> None:

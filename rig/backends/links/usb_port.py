@@ -26,6 +26,7 @@ class UsbPort(NamedTuple):
     adapter           what they tell; None where they tell nothing
     timer_ms          of an FTDI, as the kernel writes it; None where it says nothing
     serial_number     that tells this one from others; None where it has none, or one that others of its kind have, too
+    location          where it is plugged in, as the system names that; its name may change
     """
 
     device: str
@@ -34,6 +35,7 @@ class UsbPort(NamedTuple):
     adapter: Adapter | None = None
     timer_ms: str | None = None
     serial_number: str | None = None
+    location: str | None = None
 
     @property
     def vid_is_known(self) -> bool:
@@ -73,7 +75,8 @@ def usb_port(device: str, root: Path = _ROOT) -> UsbPort:
             timer_ms = None
         if timer_ms == str(LATENCY_MS):
             adapter = "ftdi-1ms"
-    return UsbPort(device, port.vid, port.pid, adapter, timer_ms, _number_of(port))
+    place = getattr(port, "location", None)
+    return UsbPort(device, port.vid, port.pid, adapter, timer_ms, _number_of(port), place)
 
 
 def is_usb_name(device: str) -> bool:

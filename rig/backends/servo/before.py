@@ -128,11 +128,13 @@ def state_folder() -> Path:
 
 
 def store_of(port: str, id: int) -> BeforeStore:
-    """The file of one servo, by its id and the serial number of its adapter on USB, else the name of the device file.
+    """The file of one servo, by its id and the serial number of its adapter on USB, else where that is plugged in.
 
     The same for every command and config, by whatever name they have the port: a file that nobody finds again is none.
+    Off USB by the name of the device file.
     """
-    where = usb_port(port).serial_number or Path(port).resolve().name
+    found = usb_port(port)
+    where = found.serial_number or found.location or Path(port).resolve().name
     return BeforeStore(state_folder() / f"servo-{re.sub(r'[^A-Za-z0-9_.-]', '_', where)}-{id}.json")
 
 

@@ -81,8 +81,10 @@ class _Way(NamedTuple):
 
     def at(self, t_s: float) -> float:
         """The duty at a time, steps."""
-        way = self.slope * max(t_s - self.begins_s, 0.0)
-        if not math.isfinite(way) or abs(self.end - self.start) <= way:
+        if t_s <= self.begins_s:
+            return self.start
+        way = self.slope * (t_s - self.begins_s)
+        if abs(self.end - self.start) <= way:
             return self.end
         return self.start + math.copysign(way, self.end - self.start)
 
@@ -148,6 +150,8 @@ class ServoDriver(RegisterDriver[Ask]):
         self._steps, self._waits_s = Steps(), math.inf  # and how long the quickest reply waited on its way back, s
         self._dithered = 0.0  # share of a step
         self._late_s = _LATE_S + setup.adapter_s
+        self._glance = RegisterSpan(tuple(r for r in self._map.read.registers if r.name in ("applied", "tick")))
+        self._before_s = math.nan  # when the drive before the last one acted
 
     # ------------------------------------------------------------------ requests
 
@@ -202,10 +206,10 @@ class ServoDriver(RegisterDriver[Ask]):
         """
         self._until_there()
         left = leave_no_trace(self._link, self._setup, self._store)
-        remarks = look(self._link, self._setup)
+        remarks = look(self._link, self._setup, left.others)
         if self._setup.supply_switch and person.asks is not None:
             try_switch(self._link, self._setup, self._store, person.asks)
-            remarks = look(self._link, self._setup)  # it has started anew
+            look(self._link, self._setup, remarks)  # it has started anew
             self._is_switch_tried = True
         opened = set_up(self._link, self._setup, self._store, self._have_it_watched)
         self._map = replace(self._map, watchdog=self._map.watchdog if opened.has_watchdog else None)
@@ -529,15 +533,19 @@ class ServoDriver(RegisterDriver[Ask]):
             raise self._client.misfit(str(error)) from error
         values["position"] = self._unwrapped(round(values["position"]))
         if "tick" in values:
-            # every reply waits on its way back as long as the quickest; what one takes beyond that may be before, too
-            waits_s = reply.latest_s - reply.executed_s
-            if waits_s < self._waits_s:
-                self._waits_s = waits_s
-            earliest_s = reply.executed_s - (reply.at_most_s - reply.round_trip_s)  # it left as soon as it could
-            self._sampled_s = self._steps.take(round(values["tick"]), earliest_s, reply.latest_s - self._waits_s)
+            self._sampled_s = self._step_of(values["tick"], reply)
         else:
             self._sampled_s = reply.executed_s - 0.5 * STEP_S
         return values
+
+    def _step_of(self, tick: float, reply: Reply) -> float:
+        """When the servo's step was that a reading tells, s."""
+        # every reply waits on its way back as long as the quickest; what one takes beyond that may be before, too
+        waits_s = reply.latest_s - reply.executed_s
+        if waits_s < self._waits_s:
+            self._waits_s = waits_s
+        earliest_s = reply.executed_s - (reply.at_most_s - reply.round_trip_s)  # it left as soon as it could
+        return self._steps.take(round(tick), earliest_s, reply.latest_s - self._waits_s)
 
     def _unwrapped(self, position: int) -> int:
         """The position over turns, the first one within half a turn of zero. Raises Fault SENSOR_JUMP."""
@@ -555,7 +563,7 @@ class ServoDriver(RegisterDriver[Ask]):
 
     @override
     def _tick_writing(self, units: int) -> None:
-        last_s = self._t_u_s
+        self._before_s = self._t_u_s
         if self._guardian is not None:
             beat(self._guardian)
         try:
@@ -564,38 +572,55 @@ class ServoDriver(RegisterDriver[Ask]):
                 self._check_alert(reply)
         except Fault as fault:
             raise self._why_refused(fault) from fault
-        self._t_u_s = self._driven_s = reply.executed_s
+        self._driven_s = reply.executed_s
         steps = self._steps
-        begins_s = steps.next_s(self._t_u_s) if steps.is_known else self._t_u_s + 0.5 * STEP_S
-        if steps.is_known and reply.latest_s - reply.executed_s - self._waits_s > self._late_s:
-            begins_s = self._seen_to_begin_s(begins_s, units)
+        begins_s = steps.next_s(self._driven_s) if steps.is_known else self._driven_s + 0.5 * STEP_S
         # until then the drive of before is ramped on
         before = self._units if begins_s >= self._steady_s else self._ways[-1].at(begins_s)
-        self._ways.append(_new(_Way, (begins_s, before, units, self._slope_units_s)))
+        self._take(_new(_Way, (begins_s, before, units, self._slope_units_s)))
+        if steps.is_known and reply.latest_s - reply.executed_s - self._waits_s > self._late_s:
+            self._look_when_it_began()
+
+    def _take(self, way: _Way) -> None:
+        """The last drive: when it acts, and until when it is ramped."""
+        self._ways.append(way)
         # a ramp gives what a step in its middle gives
-        way_s = abs(units - before) / self._slope_units_s
-        acts_s = begins_s + 0.5 * way_s
+        way_s = abs(way.end - way.start) / self._slope_units_s
+        acts_s = way.begins_s + 0.5 * way_s
         # of a ramp that was ended early its drive never acted: it ends where it began
-        self._t_u_s = last_s if last_s > acts_s else acts_s  # the first one is nan
-        self._steady_s = begins_s + way_s
+        self._t_u_s = self._before_s if self._before_s > acts_s else acts_s  # the first one is nan
+        self._steady_s = way.begins_s + way_s
 
-    def _seen_to_begin_s(self, begins_s: float, units: int) -> float:
-        """When a drive began whose answer was late, s: no earlier than a further reading sees it on its ramp.
+    def _look_when_it_began(self) -> None:
+        """Read the duty behind a drive whose answer was late: the way on which it is tells the step that began it.
 
-        begins_s  when it did if all that the exchange took beyond the sum was on its way back
+        Where it is over, or nothing comes, all that took long is taken for the answer's way back. What is read is no
+        tick's: if it comes later still, it is not taken for the next reading.
         """
         if self._guardian is not None:
             self._guardian.waits()
-        applied = self._values(self._read_span, self._exchange(self._sampling))["applied"]
-        if abs(applied - units) <= _STEPS_OFF:  # the ramp is over, or there is none
-            return begins_s
-        ramped_s = abs(applied - self._ways[-1].at(begins_s)) / self._slope_units_s
-        return max(begins_s, self._sampled_s + STEP_S - ramped_s)  # at its first step it is one ahead
+        try:
+            reply = self._client.asked(self._reading(self._glance), self._timeout_s, in_tick=True)
+            values = self._glance.values(self._cells(reply))
+        except Fault as fault:
+            if fault.code not in ("LINK_TIMEOUT", "LINK_REPLY"):
+                raise
+            self._client.wait(self._timeout_s)
+            return
+        at_s, applied = self._step_of(values["tick"], reply) + STEP_S, values["applied"]  # it may be one step ahead
+        if abs(applied - self._ways[-1].end) <= _STEPS_OFF:
+            return
+        way = self._ways.pop()
+        steps = range(math.ceil(max(at_s - way.begins_s, 0.0) / STEP_S) + 1)
+        starts = [(start_s, self._ways[-1].at(start_s)) for start_s in (way.begins_s + k * STEP_S for k in steps)]
+        ways = [way._replace(begins_s=begins_s, start=start) for begins_s, start in starts]
+        self._take(min(ways, key=lambda one: abs(one.at(at_s) - applied)))
 
     def _may_act(self) -> tuple[float, float]:
         """Least and largest duty that a reading of now may tell, steps: by each drive of the last milliseconds."""
         now_s = self._transport.now_s()
-        since_s, end_s = now_s - _STAMPED_S, now_s + STEP_S  # a servo may be a step ahead on its ramp
+        since_s = min(now_s - _STAMPED_S, self._sampled_s - STEP_S)
+        end_s = now_s + STEP_S  # a servo may be a step ahead on its ramp
         duties = []
         for way in reversed(self._ways):
             duties += [way.at(max(way.begins_s, since_s)), way.at(end_s)]

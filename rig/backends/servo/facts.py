@@ -10,6 +10,7 @@ import math
 import statistics
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -75,8 +76,7 @@ def facts(
     Raises Fault as an opening does, and LINK_*.
     """
     setup = setup_for(link)
-    leave_no_trace(link, setup, store)
-    look(link, setup)
+    look(link, setup, leave_no_trace(link, setup, store).others)
     watching: list[Guardian] = []
 
     def watched() -> None:
@@ -119,21 +119,40 @@ def facts(
 
 def _still(link: ServoLink, duty: int, guardian: Guardian | None = None) -> None:
     """Torque on with duty 0, then this one; heard by the keeper where the duty may turn the horn."""
-    roles = link.model.roles
     set_to_0(link)
     switch_on(link, lambda: _lives(link, guardian, 0.0))  # last: what the keeper has just switched off stays off
-    link.put(roles["drive"], duty)
+    _drive(link, duty)
     _lives(link, guardian, _ACTS_S)
 
 
+def _drive(link: ServoLink, duty: int) -> float:
+    """A duty, only to a servo whose torque is on: one that has restarted it may switch on, in a mode of its own.
+
+    Returns the time right before its packet, s. Raises Fault DEVICE_RESET.
+    """
+    roles, asked_s = link.model.roles, math.nan
+
+    def write(one: ServoLink) -> None:
+        nonlocal asked_s
+        if one.value(roles["torque"]) != 1:
+            raise Fault("DEVICE_RESET", f"{link.model.role('torque')} is off: it has restarted")
+        asked_s = one.now_s()
+        one.put(roles["drive"], duty)
+
+    link.in_one_go(write)
+    return asked_s
+
+
 def _off(link: ServoLink, guardian: Guardian | None = None) -> None:
-    """Torque off before a watchdog is cleared: the old goal might act again. Then the keeper need not hear rig."""
+    """Torque off before a watchdog is cleared: the old goal might act again. Then the keeper need not hear rig.
+
+    No duty to one with a lock: it may have lost its mode, and in another one that may switch its torque on.
+    """
     roles = link.model.roles
     link.put(roles["torque"], 0)
     if "watchdog" in roles:
         link.put(roles["watchdog"], 0)
-    link.put(roles["drive"], 0)
-    link.put(roles["torque"], 0)
+        link.put(roles["drive"], 0)
     if guardian is not None:
         guardian.rest()
 
@@ -178,8 +197,7 @@ def _delay(link: ServoLink) -> Fact:
     try:
         for number in range(_TRIES):
             duty = _STILL_STEPS if number % 2 == 0 else -_STILL_STEPS
-            began_s = now_s()
-            link.put(roles["drive"], duty)
+            began_s = _drive(link, duty)
             while link.value(roles["applied"]) != duty and now_s() - began_s < _ACTS_S:
                 pass
             found_s.append(now_s() - began_s)
@@ -217,9 +235,7 @@ def _moves(link: ServoLink, guardian: Guardian | None) -> Fact:
             _still(link, 0, guardian)
             _lives(link, guardian, _TURNS_S)
             rests, side = link.value(model.roles["position"]), 1 if number % 2 == 0 else -1
-            asked_s = link.now_s()
-            link.put(model.roles["drive"], side * duty)
-            sent_s = 0.5 * (asked_s + link.now_s())
+            sent_s = 0.5 * (_drive(link, side * duty) + link.now_s())
             while (asked_s := link.now_s()) < sent_s + _START_S:
                 _lives(link, guardian, 0.0)
                 position = link.value(model.roles["position"])
@@ -250,8 +266,8 @@ def _moves(link: ServoLink, guardian: Guardian | None) -> Fact:
 def _stops(link: ServoLink, guardian: Guardian | None, *, has_watchdog: bool) -> Iterator[Fact]:
     """How soon a turning horn slows down: at duty 0, with torque off, and by the watchdog."""
     roles = link.model.roles
-    ways: list[tuple[str, Callable[[], None]]] = [
-        ("duty 0", lambda: link.put(roles["drive"], 0)),
+    ways: list[tuple[str, Callable[[], object]]] = [
+        ("duty 0", lambda: _drive(link, 0)),
         ("torque off", lambda: link.put(roles["torque"], 0)),
     ]
     if has_watchdog:
@@ -267,7 +283,7 @@ def _stops(link: ServoLink, guardian: Guardian | None, *, has_watchdog: bool) ->
             yield Fact(key, round(slowed_s, 4), f"{name}: its speed fell to 37 % within {1e3 * slowed_s:.0f} ms")
 
 
-def _slowed_s(link: ServoLink, stop: Callable[[], None], guardian: Guardian | None, *, silent: bool) -> float | None:
+def _slowed_s(link: ServoLink, stop: Callable[[], object], guardian: Guardian | None, *, silent: bool) -> float | None:
     """Time until its speed has fallen to 37 %, s, a watchdog's own time in it; inf: never. None: it did not turn."""
     model, now_s = link.model, link.now_s
     position, turn = model.roles["position"], model.counts_per_turn
@@ -313,6 +329,7 @@ def _p_scale(link: ServoLink) -> Fact:
     position, applied = roles["position"], roles["applied"]
     most = roles["drive" if model.protocol == "dynamixel" else "max_drive"]
     P, counts = _P_GAIN_COUNTS[model.protocol]
+    set_to_0(link)
     link.put(roles["torque"], 0)
     link.client.wait(_STOPS_S)  # the horn may still coast
     if model.protocol == "feetech" and (integral := link.value("position_i_gain")) != 0:
@@ -324,29 +341,32 @@ def _p_scale(link: ServoLink) -> Fact:
             link.put(gain, 0)
     at = link.value(position)
     low, high = link.value("min_position_limit"), link.value("max_position_limit")
+    rests = min(max(at, low), high)  # no goal may be beyond; the duty is bounded anyway
     products, squares = 0.0, 0.0
+
+    def go_to(one: ServoLink, goal: int) -> None:
+        if (held := one.value(most)) != _P_MOST_STEPS:  # another one if it has restarted
+            raise Fault("ARM_READBACK", f"{model[most]}: sent {_P_MOST_STEPS}, stored {held}")
+        one.put("goal_position", goal)
 
     def on(one: ServoLink) -> None:
         one.put(most, _P_MOST_STEPS)
-        if (held := one.value(most)) != _P_MOST_STEPS:
-            raise Fault("ARM_READBACK", f"{model[most]}: sent {_P_MOST_STEPS}, stored {held}")
-        one.put("goal_position", min(max(at, low), high))  # no goal may be beyond; the duty is bounded anyway
+        go_to(one, rests)
         one.put(roles["torque"], 1)
 
     try:
         link.in_one_go(on)
-        for number in range(-_P_GOALS, _P_GOALS + 1):
-            goal = at + number * counts
+        for goal in range(at - _P_GOALS * counts, at + _P_GOALS * counts + 1, counts):
             if not low <= goal <= high:
                 continue
-            link.put("goal_position", goal)
+            link.in_one_go(partial(go_to, goal=goal))
             link.client.wait(_ACTS_S)
             error, duty = goal - link.value(position), link.value(applied)
             if abs(duty) < _P_MOST_STEPS:
                 products, squares = products + error * duty, squares + error * error
+        link.in_one_go(partial(go_to, goal=rests))  # with the torque off it might switch that on
     finally:
         _off(link)
-    link.put("goal_position", min(max(at, low), high))
     if not products > 0.0:
         return Fact(name, None, "its position mode gave no duty, or all that it may, for an error of its position")
     counts_rad = model.counts_per_turn / (2.0 * math.pi)

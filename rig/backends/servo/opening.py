@@ -98,15 +98,17 @@ class Opened:
 
 @dataclass(frozen=True)
 class Left:
-    """What an earlier run has left: for people, and as codes of faults."""
+    """What an earlier run has left: for people, and as codes of faults; others on the bus, where it looked for them."""
 
     remarks: tuple[str, ...]
     acknowledged: tuple[str, ...]
+    others: tuple[str, ...] | None = None
 
 
-def look(link: ServoLink, setup: ServoSetup) -> tuple[str, ...]:
+def look(link: ServoLink, setup: ServoSetup, others: tuple[str, ...] | None = None) -> tuple[str, ...]:
     """Every check that only reads. Returns remarks.
 
+    others  what ``check_others`` has found just before: it takes seconds
     Raises Fault SECOND_MASTER, LINK_UNIT, SERVO_IN_USE, SERVO_SETUP, SERVO_ERROR, SERVO_SUPPLY, SERVO_HOT.
     """
     check_bus(link)
@@ -116,7 +118,7 @@ def look(link: ServoLink, setup: ServoSetup) -> tuple[str, ...]:
     _check_supply(link, setup)
     _check_heat(link, setup)
     _check_torque(link)
-    return check_others(link)
+    return check_others(link) if others is None else others
 
 
 def objections(link: ServoLink) -> tuple[str, ...]:
@@ -184,13 +186,13 @@ def leave_no_trace(link: ServoLink, setup: ServoSetup, store: BeforeStore) -> Le
     values = store.load(link.model)
     if values is None:
         return Left(remarks, ())
-    check_free(link)
+    others = check_free(link)
     watchdog = link.model.roles.get("watchdog")
     acted = ("DEVICE_WATCHDOG",) if watchdog is not None and link.value(watchdog) == -1 else ()
     put_back(link, values)
     store.clear()
     remark = "an earlier run has ended without putting the servo's registers back: rig has done that now"
-    return Left((*remarks, remark), acted)
+    return Left((*remarks, remark), acted, others)
 
 
 def set_up(
@@ -331,15 +333,17 @@ def check_bus(link: ServoLink) -> None:
     check_one(link)
 
 
-def check_free(link: ServoLink) -> None:
+def check_free(link: ServoLink) -> tuple[str, ...]:
     """Before rig takes the torque away from a servo that it has left: somebody else may have taken it over since.
 
-    Rig's own torque is on in PWM mode alone. Raises Fault SERVO_IN_USE, SECOND_MASTER, LINK_UNIT, SERVO_SETUP.
+    Rig's own torque is on in PWM mode alone. Returns as ``check_others``.
+    Raises Fault SERVO_IN_USE, SECOND_MASTER, LINK_UNIT, SERVO_SETUP.
     """
     check_bus(link)
-    check_others(link)
+    others = check_others(link)
     if link.value(link.model.roles["mode"]) != link.model.pwm_mode:
         _check_torque(link)
+    return others
 
 
 def check_started_anew(link: ServoLink) -> None:

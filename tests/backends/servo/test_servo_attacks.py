@@ -76,7 +76,7 @@ def test_a_servo_that_restarts_while_it_is_armed_never_gets_its_torque(protocol:
 
     A Dynamixel has forgotten its watchdog, too.
     """
-    bench = Bench(protocol, goal_at_boot=0)
+    bench = Bench(protocol, goal_at_boot=0, torque_on_by_goal=True)
     use_limit_of_config(bench)
     bench.opened()
     bus, model = bench.driver._bus, bench.setup.model
@@ -90,7 +90,7 @@ def test_a_servo_that_restarts_while_it_is_armed_never_gets_its_torque(protocol:
     restarted = restarting_ahead_of(bench, asks[what].data.__eq__)
     with pytest.raises(Fault, match=r"DEVICE_RESET|ARM_READBACK"):
         bench.driver.arm(bench.limits)
-    assert restarted and bench.wrong() == [] and bench.servo.truth().y_rad == stood_rad
+    assert restarted and bench.wrong() == [] and bench.servo.truth().y_rad == stood_rad and not bench.servo.is_on
     assert bench.driver.safe_stop() and not bench.servo.is_on
 
 
@@ -492,6 +492,30 @@ def test_a_servo_that_restarts_while_facts_are_tried_never_gets_its_torque(
     assert not bench.servo.is_on and bench.wrong() == []
 
 
+@pytest.mark.parametrize(("role", "value"), [("drive", 3), ("drive", 120), ("goal_position", None), ("torque", 0)])
+def test_no_fact_switches_a_servo_on_that_has_lost_its_supply(role: str, value: int | None) -> None:
+    """A goal may do so, and that of the duty is another one in the mode that it starts with."""
+    bench = Bench("feetech", torque_on_by_goal=True, goal_at_boot=0)
+    model = bench.setup.model
+    register = model.role(role) if role in model.roles else model[role]
+    begins = bench.driver._bus.writing(register.address, register.pack(value or 0), "").data
+    begins = begins if value is not None else begins[: -1 - register.size]
+    at_s: list[float] = []
+
+    def ahead(data: bytes) -> bool:
+        is_it = bench.servo.is_on and data.startswith(begins)
+        at_s.extend([bench.bus.now_s()] if is_it else [])
+        return is_it
+
+    restarting_ahead_of(bench, ahead)
+    with pytest.raises(Fault, match=r"DEVICE_RESET|ARM_READBACK"):
+        list(facts(bench.driver._link, bench.store))
+    goals = (model.role("drive").address, model["goal_position"].address)
+    later = [f for t_s, f in bench.bus.bus.log if isinstance(f, feetech.Frame) and t_s > at_s[0] + 0.001]
+    assert not [f for f in later if f.code == feetech.Instruction.WRITE and f.parameters[0] in goals]
+    assert not bench.servo.is_on and bench.wrong() == []
+
+
 def test_a_servo_that_drives_when_it_starts_is_not_rebooted() -> None:
     bench = Bench()
     bench.servo.put("startup_configuration", 1)
@@ -600,10 +624,9 @@ def test_every_name_of_a_port_leads_to_one_file(tmp_path: Path, monkeypatch: pyt
     own, other = (store_of(str(tmp_path / name), 1).path for name in ("ttyUSB7", "usb-FTDI-if00"))
     assert own == other
     port = usb_port("/dev/ttyUSB7")
-    monkeypatch.setattr(
-        "rig.backends.servo.before.usb_port", lambda device: port._replace(device=device, serial_number="FT1")
-    )
-    assert store_of("/dev/ttyUSB0", 1).path == store_of("/dev/ttyUSB1", 1).path != own
+    for tells in ({"serial_number": "FT1"}, {"location": "1-1.2"}):  # plugged in again it may have another name
+        monkeypatch.setattr("rig.backends.servo.before.usb_port", lambda device, t=tells: port._replace(**t))
+        assert store_of("/dev/ttyUSB0", 1).path == store_of("/dev/ttyUSB1", 1).path != own
 
 
 @pytest.mark.parametrize("error", [False, True])

@@ -119,7 +119,9 @@ def test_whether_a_feetech_protects_itself_in_pwm_mode_is_found(protects: bool) 
 
 
 def test_what_a_step_of_p_means_is_measured_of_a_feetech_whose_i_is_0() -> None:
-    assert found(Bench("feetech"))["p_scale_1_rad"].found == pytest.approx(0.166, rel=0.06)
+    """Also of one whose torque a goal switches on: it is left off."""
+    bench = Bench("feetech", torque_on_by_goal=True)
+    assert found(bench)["p_scale_1_rad"].found == pytest.approx(0.166, rel=0.06)
     told = found(Bench("feetech", registers={"position_i_gain": 3}))["p_scale_1_rad"]
     assert told.found is None and "its I is 3" in told.words
 

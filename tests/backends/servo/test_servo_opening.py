@@ -301,3 +301,9 @@ def test_a_servo_whose_goal_does_not_become_0_is_never_armed(protocol: str) -> N
     with pytest.raises(Fault, match="ARM_READBACK"):
         bench.opened()
     assert bench.servo.value(drive) != 0 and not bench.servo.is_on and bench.wrong() == []
+
+
+def test_a_servo_that_a_duty_switches_on_is_off_once_it_is_open() -> None:
+    bench = Bench("feetech", torque_on_by_goal=True)
+    bench.opened()
+    assert not bench.servo.is_on

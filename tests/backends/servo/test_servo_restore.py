@@ -171,6 +171,21 @@ def test_a_run_that_is_killed_anywhere_is_put_right_by_the_next(protocol: str, s
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_an_opening_that_puts_back_asks_no_id_more_often_than_another(protocol: str) -> None:
+    """To ask all of them takes seconds."""
+    bench, absent, pings = Bench(protocol), 9, list[int]()
+    asks = bench.driver._bus.ping(absent).data
+    for _ in range(2):
+        written: list[bytes] = []
+        send = bench.bus.write
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(bench.bus, "write", lambda data, w=written, s=send: (w.append(data), s(data)))
+            bench.another().open()
+        pings.append(written.count(asks))
+    assert pings[0] == pings[1] > 0
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_nothing_is_written_to_a_servo_that_falls_silent_before_its_values_are_kept(
     protocol: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -248,6 +263,23 @@ def test_a_late_answer_to_another_write_of_the_keeper_confirms_none_that_was_los
         bench.bus.bus.disturbance = spoilt
         restored = keeper.restore()
         assert not bench.servo.is_on and (not restored or owned(bench) == before), lost - 1
+
+
+def test_the_last_that_a_keeper_writes_is_torque_off() -> None:
+    """A duty that is put back may have switched it on."""
+    bench = Bench("feetech", torque_on_by_goal=True)
+    bench.servo._set("mode", bench.setup.model.pwm_mode)
+    keeper = bench.driver._start_guardian = Keeper(bench)
+    bench.armed()
+    assert keeper.stop() and keeper.restore() and not bench.servo.is_on
+
+
+def test_the_next_run_tells_what_the_keeper_did(tmp_path: Path) -> None:
+    bench = Bench(store=BeforeStore(tmp_path / "servo.json"))
+    bench.driver._start_guardian = keeper = Keeper(bench)
+    assert bench.store.note_path is not None
+    keeper.tell("", str(bench.store.note_path), stopped=True, restored=True)
+    assert any("stopped it" in remark for remark in bench.opened().remarks)
 
 
 def test_nothing_is_written_where_the_values_of_before_cannot_be_kept(tmp_path: Path) -> None:

@@ -86,6 +86,43 @@ def test_a_switch_that_cuts_nothing_or_stays_open_ends_it(
     assert len(writes(bench)) == (1 if is_off else 2) and bench.servo.eeprom_writes.total() == 0
 
 
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_one_wrong_answer_is_no_switch_that_cuts(protocol: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(protocol, setup=SWITCH)
+    link, wrong = bench.driver._link, [0]
+    told = link.value_of
+    monkeypatch.setattr(
+        link,
+        "value_of",
+        lambda id, name: wrong.pop() if wrong and name == link.model.roles["voltage"] else told(id, name),
+    )
+    monkeypatch.setattr(person, "asks", Hand(bench, "open"))
+    with pytest.raises(Fault, match="answered on"):
+        bench.opened()
+    assert not wrong
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_who_is_killed_while_a_switch_is_tried_leaves_no_mark_for_good(
+    protocol: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(protocol, setup=SWITCH)
+    before = bench.registers()
+
+    def killed(*_: object) -> bool:
+        monkeypatch.setattr(bench.bus, "write", lambda data: (_ for _ in ()).throw(Fault("LINK_LOST")))
+        raise SystemExit
+
+    with monkeypatch.context() as while_it_lives, pytest.raises(SystemExit):
+        while_it_lives.setattr(person, "asks", killed)
+        bench.opened()
+    assert bench.registers() != before
+    monkeypatch.undo()
+    bench.another().open()
+    bench.driver.close()
+    assert bench.registers() == before
+
+
 def test_a_supply_that_is_as_good_as_gone_counts_as_cut(monkeypatch: pytest.MonkeyPatch) -> None:
     """As where the adapter feeds the servo's chip."""
     bench = Bench("feetech", setup=SWITCH)

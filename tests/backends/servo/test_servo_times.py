@@ -5,13 +5,12 @@ from __future__ import annotations
 import itertools
 import random
 import statistics
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import pytest
 from servo_bench import PROTOCOLS, Bench
 
 from rig.backends.links.usb_adapters import Adapter, adapter_delay_s
-from rig.backends.registers.bus import Reply
 from rig.backends.registers.map import RegisterSpan
 from rig.backends.servo.dynamixel import Instruction
 from rig.backends.servo.steps import STEP_S
@@ -134,10 +133,10 @@ def test_a_duty_that_reads_a_step_less_than_was_written_is_no_ramp_behind_a_late
     monkeypatch.setattr("servo_bench.PERIOD_S", 0.03)
     bench, rng = Bench(setup={"fastest_slope": True}), random.Random(1)
     bench.armed()
-    values = bench.driver._values
+    values = RegisterSpan.values
 
-    def a_step_less(span: RegisterSpan, reply: Reply) -> dict[str, float]:
-        told = values(span, reply)
+    def a_step_less(span: RegisterSpan, words: Sequence[int]) -> dict[str, float]:
+        told = values(span, words)
         told["applied"] -= (told["applied"] > 0.0) - (told["applied"] < 0.0)
         return told
 
@@ -145,7 +144,7 @@ def test_a_duty_that_reads_a_step_less_than_was_written_is_no_ramp_behind_a_late
         is_late = direction == "reply" and len(data) == REPLY_TO_WRITE_BYTES and rng.random() < 0.1
         return [(rng.uniform(*HELD_UP_S) if is_late else 0.0, data)]
 
-    monkeypatch.setattr(bench.driver, "_values", a_step_less)
+    monkeypatch.setattr(RegisterSpan, "values", a_step_less)
     bench.bus.bus.disturbance = late
     samples = [bench.tick(rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 1.5)) for _ in range(200)]
     seen = [(s.t_u_s, acted_s(bench.bus.outputs[0], s.t_u_s)) for s in samples[2:]]
@@ -166,3 +165,46 @@ def test_a_ramp_longer_than_a_period_is_no_fault_and_no_step_back_in_time(
     drives = [1.6 * (-1.0) ** (k // ticks + (k == 70)) for k in range(120)]
     times = [bench.tick(u_V).t_u_s for u_V in drives][2:]
     assert all(after >= before for before, after in itertools.pairwise(times))
+
+
+@pytest.mark.parametrize("spoilt", ["lost", "damaged", "later still"])
+def test_a_further_reading_that_is_lost_ends_nothing_and_is_not_taken_for_the_next(
+    spoilt: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The next tick reads anyway, and sees the ramp of a drive that began late."""
+    monkeypatch.setattr("servo_bench.PERIOD_S", 0.03)
+    bench, rng = Bench(), random.Random(1)
+    bench.armed()
+    further = bench.driver._reading(bench.driver._glance)
+    timeout_s, further_replies = bench.driver._timeout_s, 0
+
+    def late(direction: str, data: bytes, _: float) -> list[tuple[float, bytes]]:
+        nonlocal further_replies
+        if direction == "reply" and len(data) == further.length:
+            further_replies += 1
+            spoils: dict[str, list[tuple[float, bytes]]] = {
+                "lost": [], "damaged": [(0.0, data[:-1])], "later still": [(1.5 * timeout_s, data)]
+            }  # fmt: skip
+            return spoils[spoilt]
+        is_drive = direction == "request" and data[INSTRUCTION_AT] == Instruction.WRITE
+        return [(rng.uniform(*HELD_UP_S) if is_drive and rng.random() < 0.1 else 0.0, data)]
+
+    bench.bus.bus.disturbance, is_at_s = late, turning(bench)
+    samples = [bench.tick(rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 1.5)) for _ in range(100)]
+    assert further_replies > 5 and max(abs(is_at_s(s.y_rad) - s.t_s) for s in samples[5:]) < STEP_S
+
+
+@pytest.mark.parametrize("held_up", ["request", "reply"])
+def test_packets_held_up_while_a_duty_is_ramped_look_like_no_overload(
+    held_up: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A reading tells the duty of when it was read, not of when its answer came."""
+    monkeypatch.setattr("servo_bench.PERIOD_S", 0.005)
+    bench, rng = Bench(setup={"fastest_slope": False}), random.Random(1)
+    bench.armed()
+
+    def late(direction: str, data: bytes, _: float) -> list[tuple[float, bytes]]:
+        return [(rng.uniform(*HELD_UP_S) if direction == held_up and rng.random() < 0.2 else 0.0, data)]
+
+    bench.bus.bus.disturbance = late
+    assert all(bench.fault_within(1, rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 1.5)) is None for _ in range(300))
