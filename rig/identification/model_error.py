@@ -44,6 +44,7 @@ from rig.identification.chance import chi_squared_quantile, student_975
 from rig.identification.departures.budget import COVERAGE, Entry
 from rig.identification.departures.fit import POSITIVE, Fit, refitted, solve, sums_of_pieces, to_diagonal_1, unit
 from rig.identification.departures.fit import start as begin
+from rig.identification.departures.laws import TAKEN
 from rig.identification.departures.nuisances import OF
 from rig.identification.departures.pieces import FEWEST_ROWS, Cut
 from rig.identification.estimate import Estimate
@@ -74,11 +75,13 @@ ORDER = "a dead band before or behind the sag"
 BY_SIZE = ("sag", "source")
 BENDS_BY = {"sag": 1, "source": 2, "dead_band": 1}  # numbers of what acts of each size of drive
 ONE_SIZE = "one size of drive"
-TAKEN = 0.19  # of it may be missing, at 95 %: a bridge of bipolar transistors takes 1.8 V (L298N, at 1 A) of 9.5 V
+UNTOLD = "a dead band that never shows"
 AT_0_V = "rows at 0 V"
 FAR_LESS, COASTS = 0.25, 0.02  # of the residual beyond the sensor's noise; of the rows, at least
 NOT_SHOWN = {
     ONE_SIZE: "what acts of a drive of one size no record shows; record drives of several sizes",
+    UNTOLD: "what a dead band of the drive takes is in f_c, for the drive never brakes the shaft, nor coasts; record "
+    "strokes that it reverses, or rests at 0 V while the shaft turns",
     AT_0_V: "the rows with a drive alone say other numbers, and fit far better; does the bridge let the motor run free "
     "at 0 V? Then it is no plain motor there: record drives without rests, or with a bridge that brakes",
 }

@@ -28,7 +28,7 @@ from rig.identification.departures.laws import DRIFT_EACH, LEVEL_EACH, SOFT_COUP
 from rig.identification.departures.nuisances import OF, Nuisances
 from rig.identification.departures.outside import INSTEAD_OF, instead_of_sag, outside
 from rig.identification.departures.pieces import Coupling, Cut
-from rig.identification.departures.profile import profiles
+from rig.identification.departures.profile import profiles, untold
 from rig.identification.departures.rounding import by_rounding
 from rig.identification.driven import bears
 from rig.identification.estimate import PARAMETERS, Estimate, intervals
@@ -38,6 +38,7 @@ from rig.identification.model_error import (
     AT_0_V,
     MANY_LAWS,
     NOT_SHOWN,
+    UNTOLD,
     any_bend,
     model_error,
     of_one_size,
@@ -513,13 +514,16 @@ def motor_law(
     is_plain = bears_all and not choice.laws and not further and not coupled  # then its fit of the whole is the answer
     at_rests = of_rests(parts, plain if is_plain else None)
     bends = any_bend(parts, bare, goes_along=bench.goes_along)
+    one_size = of_one_size(parts)  # of which that is a part
+    hides = [] if one_size else untold(parts, choice.laws, begun.chooser)
+    of_untold = (Entry(UNTOLD, *np.abs(moves).tolist()) for moves in hides)
     lines = budget(
         nuisances.tempered(of_model.effect),
         by_size,
         instead,
         scales,
         scatter * of_model.of_each,
-        (*of_model.lines, *like, *bends, *of_one_size(parts), *at_rests, *of_levels, *of_lag),
+        (*of_model.lines, *like, *bends, *one_size, *of_untold, *at_rests, *of_levels, *of_lag),
     )
     holds = _holds(whole, turns_both="bias_V" in begun.chooser.core)
     bounded = (*_at_bounds(fit, choice.laws), *(() if coupled is None else damped_at_bound(coupled)))

@@ -69,6 +69,7 @@ class Departure:
     limits           bounds of its fields in a fit, beside 0 and up for a law of one side
     sizes            sizes up to ``range_of`` to be looked at one by one, where the motion is not linear in a law of one
                      number; none: it is nearly linear
+    untold           largest size that a bench may have, where the tests do not even tell one of ``range_of``
     shown            on which benches it can be looked for, beside ``over_position``
     largest          largest size that a fit may give it; None: see ``most``
     leaps            whether the motion leaps where its one number grows: no derivative shows its size
@@ -94,6 +95,7 @@ class Departure:
     trials: Callable[[Bench], Sequence[Start]] = one_from_nothing
     limits: Callable[[Bench], Mapping[str, tuple[float, float]]] = lambda bench: {}
     sizes: Callable[[Bench], Sequence[float]] = lambda bench: ()
+    untold: Callable[[Bench], float] = lambda bench: 0.0
     shown: Callable[[Bench], bool] = lambda bench: True
     largest: float | None = None
     leaps: bool = False
