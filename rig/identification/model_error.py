@@ -44,7 +44,7 @@ from rig.identification.chance import chi_squared_quantile, student_975
 from rig.identification.departures.budget import COVERAGE, Entry
 from rig.identification.departures.fit import POSITIVE, Fit, refitted, solve, sums_of_pieces, to_diagonal_1, unit
 from rig.identification.departures.fit import start as begin
-from rig.identification.departures.laws import TAKEN
+from rig.identification.departures.laws import LONG_DELAY_S, TAKEN
 from rig.identification.departures.nuisances import OF
 from rig.identification.departures.pieces import FEWEST_ROWS, Cut
 from rig.identification.estimate import Estimate
@@ -75,6 +75,7 @@ ORDER = "a dead band before or behind the sag"
 BY_SIZE = ("sag", "source")
 BENDS_BY = {"sag": 1, "source": 2, "dead_band": 1}  # numbers of what acts of each size of drive
 ONE_SIZE = "one size of drive"
+OF_READINGS = "a lag of the readings"
 UNTOLD = "a dead band that never shows"
 AT_0_V = "rows at 0 V"
 FAR_LESS, COASTS = 0.25, 0.02  # of the residual beyond the sensor's noise; of the rows, at least
@@ -195,6 +196,21 @@ def any_bend(fit: Fit, bare: Mapping[str, Fit], *, goes_along: bool = False) -> 
     tau_s, K, fc_V = np.minimum(np.max(moves, axis=0), np.abs(here)).tolist()
     fc_V = max(fc_V, K / here[1] * here[2]) if far else fc_V  # the drive of friction bends as small drives do
     return (Entry(BENDS, tau_s, K, fc_V, laws=tuple(bent)),)
+
+
+def of_long_lag(fit: Fit, bare: Mapping[str, Fit], late_s: float) -> tuple[Entry, ...]:
+    """The line for a lag that is longer than any drive's: of the readings, it hides what friction does at reversals.
+
+    bare     as for ``any_bend``: what the other laws took from f_c there may be friction
+    late_s   delay from which on a bench is late
+    A delay as long may be one, too, where the fit leaves more than noise: then what it makes late is partly tau's.
+    """
+    leaves = fit.rms_rad > LEAVES * fit.problem.sigma_rad
+    lag_s = fit.motor.delay_s if leaves and fit.motor.delay_s > max(late_s, LONG_DELAY_S) else 0.0
+    if max(lag_s, fit.motor.lag_s) < LONG_DELAY_S:
+        return ()
+    taken_V = [fit.motor.dead_band_V, *(one.motor.fc_V - fit.motor.fc_V for name, one in bare.items() if name != "lag")]
+    return (Entry(OF_READINGS, lag_s, 0.0, COVERAGE * float(np.abs(taken_V).max())),)
 
 
 def of_one_size(fit: Fit) -> tuple[Entry, ...]:

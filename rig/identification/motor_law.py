@@ -41,6 +41,7 @@ from rig.identification.model_error import (
     UNTOLD,
     any_bend,
     model_error,
+    of_long_lag,
     of_one_size,
     of_rests,
     only_like,
@@ -92,6 +93,7 @@ TURNS_BACK = 0.2  # of the whole motion: a way back shorter than that is no turn
 NO_CYCLE_TAUS, SHORTEST_S, LONGEST_S, NO_CYCLE = 3.3, 0.17, 2.2, 12.0
 MOST_ROWS, FEWER_ROWS = 8000, 2000  # of all tests; where a fit leaves more than noise, rows are not what bounds it
 LEAVES, LONG_LEAVES = 8.0, 2.0  # residual over the sensor's noise of such a fit; of tests of more than ``MOST_ROWS``
+LATE_ROWS = 2.0  # delay of a bench that is late
 ROUNDS = 3  # in which records that disagree with the tests are cut, before none of them is used
 EXPLAINED = 1.5  # residual over the sensor's noise, at most, of laws that leave little else: then rows bound the answer
 MOST_SURVEY_ROWS = 4000
@@ -516,6 +518,7 @@ def motor_law(
     bends = any_bend(parts, bare, goes_along=bench.goes_along)
     one_size = of_one_size(parts)  # of which that is a part
     hides = [] if one_size else untold(parts, choice.laws, begun.chooser)
+    of_late = of_long_lag(parts, bare, LATE_ROWS * max(test.period_s for test in tests))
     of_untold = (Entry(UNTOLD, *np.abs(moves).tolist()) for moves in hides)
     lines = budget(
         nuisances.tempered(of_model.effect),
@@ -523,7 +526,7 @@ def motor_law(
         instead,
         scales,
         scatter * of_model.of_each,
-        (*of_model.lines, *like, *bends, *one_size, *of_untold, *at_rests, *of_levels, *of_lag),
+        (*of_model.lines, *like, *bends, *one_size, *of_untold, *of_late, *at_rests, *of_levels, *of_lag),
     )
     holds = _holds(whole, turns_both="bias_V" in begun.chooser.core)
     bounded = (*_at_bounds(fit, choice.laws), *(() if coupled is None else damped_at_bound(coupled)))

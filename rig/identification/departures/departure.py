@@ -30,6 +30,7 @@ class Bench:
     path_per_row_rad    mean way from one sample to the next, rad
     small_drives_V      sizes of the drives below a tenth of the largest, V; at most six
     goes_along          whether the drive always pushes the way that the shaft turns, and never rests
+    delay_s             of the plain motor, s
     """
 
     K_rad_s_V: float
@@ -41,6 +42,7 @@ class Bench:
     path_per_row_rad: float
     small_drives_V: tuple[float, ...] = ()
     goes_along: bool = False
+    delay_s: float = 0.0
 
     @property
     def half_drive_V(self) -> float:

@@ -282,6 +282,7 @@ class Cut:
             float(np.mean(np.concatenate([np.abs(np.diff(window.y_rad)) for window in self.windows]))),
             self._small_drives(),
             all(_goes_along(window) for window in self.windows),
+            motor.delay_s,
         )
 
     def _small_drives(self) -> tuple[float, ...]:

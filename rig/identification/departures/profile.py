@@ -24,6 +24,7 @@ from rig.identification.departures.fit import Fit, Normal, refitted, solve, unit
 from rig.identification.departures.nuisances import OF
 
 STEPS = 3  # of a fit, from the size before
+AS_FRICTION = 0.1  # change of K over that of the drive, at most, by what is nothing but friction in a record
 NARROWER = 3  # sizes between one that is likely and one that is not, less 1
 HOPELESS = 60.0  # rise of the sum of squares from which on larger sizes are left out
 ITS_OWN = 2.0  # standard deviations of a size that was found, within which another size is the same
@@ -78,9 +79,9 @@ def untold(fit: Fit, laws: Sequence[Departure], chooser: Chooser) -> list[Array]
             tries = tries if math.isinf(excluded) else tries - 1 if likely else 0
             tries = tries if likely < most else 0
             size = min(2.0 * size, most) if math.isinf(excluded) else 0.5 * (likely + excluded)
-        if likely:
-            share = min(excluded, most) / likely
-            found.append(share * np.array([getattr(one.motor, key) - getattr(fit.motor, key) for key in OF]))
+        moves = np.array([getattr(one.motor, key) - getattr(fit.motor, key) for key in OF])
+        if likely and abs(moves[1]) < AS_FRICTION * likely / chooser.bench.largest_V * fit.motor.K_rad_s_V:
+            found.append(min(excluded, most) / likely * moves)
     return found
 
 
