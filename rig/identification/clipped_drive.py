@@ -26,12 +26,13 @@ from rig.run_folder.recording.series import Steps, TimeSeries, noise_of_all_rad
 LEAVES = 3.0  # residual over the sensor's noise from which on a limit is looked for; with it at most that,
 CUTS = 0.1  # or this residual over that without it
 SHOWS = 0.8  # residual with the best of the first limits over that without, at most
-TRIED, LEAST, FINER = 8, 0.05, 18  # limits that are tried first, from the largest drive to this share; further steps
+# Of the largest drive: limits that are tried first, closer where drives are cut off by little; further steps
+FIRST, FINER = (1.0, 0.95, 0.88, 0.78, 0.63, 0.42, 0.2, 0.05), 18
 FEWEST_SIZES, BEYOND = 6, 0.02  # sizes of drives beyond the limit, at least, and how they differ, of the largest
 # Of the largest speed: from which on the shaft may be at its limit; which quantile that is; its error. Rows on either
 # side that show a speed, at most. Residual beyond noise with such a limit over that without: a drag cuts it by half
 LIMITED, FASTEST, SURE, MOST_BESIDE, CUTS_BY_SPEED = (0.95, 0.97, 0.985), 0.98, 0.005, 10, 0.25
-LEAST_BY_SPEED, FINER_BY_SPEED = 0.25, 10  # of the largest drive: the smallest such limit that is tried; steps
+FIRST_BY_SPEED, FINER_BY_SPEED = tuple(np.geomspace(1.0, 0.25, 8).tolist()), 10
 
 
 class Limit(NamedTuple):
@@ -81,14 +82,13 @@ def _best(from_rad_s: float, largest_V: float, tests: Sequence[TimeSeries], plai
     def left(limit_V: float) -> float:
         return _with(Limit(limit_V, from_rad_s), tests, plain)
 
-    least = LEAST_BY_SPEED if from_rad_s else LEAST
-    limits_V = (largest_V * np.geomspace(1.0, least, TRIED)).tolist()
+    limits_V = [share * largest_V for share in (FIRST_BY_SPEED if from_rad_s else FIRST)]
     found = list(map(left, limits_V))
     best = int(np.argmin(found))
     if not from_rad_s and found[best] > SHOWS * found[0]:
         return Limit(), math.inf
     steps = FINER_BY_SPEED if from_rad_s else FINER
-    limit_V, rad = lowest(left, limits_V[min(best + 1, TRIED - 1)], limits_V[max(best - 1, 0)], steps)
+    limit_V, rad = lowest(left, limits_V[min(best + 1, len(limits_V) - 1)], limits_V[max(best - 1, 0)], steps)
     return Limit(limit_V, from_rad_s), rad
 
 

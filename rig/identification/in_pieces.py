@@ -122,8 +122,10 @@ def best_of_starts(
     return min(side_by_side(solve, ranked[:2], rows), key=lambda fit: fit.cost)
 
 
-def plain_residual_rad(tests: Sequence[TimeSeries], plain: Estimate) -> float:
+def plain_residual_rad(tests: Sequence[TimeSeries], plain: Estimate, *, brakes: bool = True) -> float:
     """RMS residual of the plain motor, begun at ``plain``, on pieces of half a second, rad.
+
+    brakes   False: behind a bridge that does not brake
 
     Raises IdentifyError if a test is too short.
     """
@@ -133,6 +135,7 @@ def plain_residual_rad(tests: Sequence[TimeSeries], plain: Estimate) -> float:
     cut = Cut.whole(thin, delay_s[1]).every(PIECE_S)
     free = tuple(name for name in (*CORE, DELAY) if name != "bias_V" or not one_way(tests))
     motor = RealMotor(plain.tau_s, plain.K_rad_s_V, max(plain.fc_V, 0.0), plain.asym_V, max(plain.delay_s, 0.0))
+    motor = motor if brakes else motor._replace(no_brake=1.0)
     problem = Problem(cut, free, limits_of(free, cut, delay_s), 1e-3 * cut.frames[0].half_travel_rad)
     return solve(begin(problem, motor), PIECE_ITERATIONS, ROUGHLY).rms_rad
 

@@ -41,6 +41,7 @@ from rig.identification.chance import chi_squared_quantile, student_975
 from rig.identification.departures.budget import COVERAGE, Entry
 from rig.identification.departures.fit import POSITIVE, Fit, refitted, solve, sums_of_pieces, to_diagonal_1, unit
 from rig.identification.departures.fit import start as begin
+from rig.identification.departures.laws import LONG_DELAY_S, TAKEN
 from rig.identification.departures.nuisances import OF
 from rig.identification.departures.pieces import Cut
 from rig.model.real_motor import is_plain
@@ -70,9 +71,12 @@ ORDER = "a dead band before or behind the sag"
 BY_SIZE = ("sag", "source")
 BENDS_BY = {"sag": 1, "source": 2, "dead_band": 1}  # numbers of what acts of each size of drive
 ONE_SIZE = "one size of drive"
-TAKEN = 0.19  # of it may be missing, at 95 %: a bridge of bipolar transistors takes 1.8 V (L298N, at 1 A) of 9.5 V
+OF_READINGS = "a lag of the readings"
+UNTOLD = "a dead band that never shows"
 NOT_SHOWN = {
     ONE_SIZE: "what acts of a drive of one size no record shows; record drives of several sizes",
+    UNTOLD: "what a dead band of the drive takes is in f_c, for the drive never brakes the shaft, nor coasts; record "
+    "strokes that it reverses, or rests at 0 V while the shaft turns",
 }
 PREDICTED = 0.005  # error in blocks of a plain motor that leaves nothing to share
 
@@ -184,6 +188,21 @@ def any_bend(fit: Fit, bare: Mapping[str, Fit], *, goes_along: bool = False) -> 
     tau_s, K, fc_V = np.minimum(np.max(moves, axis=0), np.abs(here)).tolist()
     fc_V = max(fc_V, K / here[1] * here[2]) if far else fc_V  # the drive of friction bends as small drives do
     return (Entry(BENDS, tau_s, K, fc_V, laws=tuple(bent)),)
+
+
+def of_long_lag(fit: Fit, bare: Mapping[str, Fit], late_s: float) -> tuple[Entry, ...]:
+    """The line for a lag that is longer than any drive's: of the readings, it hides what friction does at reversals.
+
+    bare     as for ``any_bend``: what the other laws took from f_c there may be friction
+    late_s   delay from which on a bench is late
+    A delay as long may be one, too, where the fit leaves more than noise: then what it makes late is partly tau's.
+    """
+    leaves = fit.rms_rad > LEAVES * fit.problem.sigma_rad
+    lag_s = fit.motor.delay_s if leaves and fit.motor.delay_s > max(late_s, LONG_DELAY_S) else 0.0
+    if max(lag_s, fit.motor.lag_s) < LONG_DELAY_S:
+        return ()
+    taken_V = [fit.motor.dead_band_V, *(one.motor.fc_V - fit.motor.fc_V for name, one in bare.items() if name != "lag")]
+    return (Entry(OF_READINGS, lag_s, 0.0, COVERAGE * float(np.abs(taken_V).max())),)
 
 
 def of_one_size(fit: Fit) -> tuple[Entry, ...]:

@@ -28,7 +28,7 @@ from rig.identification.departures.laws import DRIFT_EACH, LEVEL_EACH, SOFT_COUP
 from rig.identification.departures.nuisances import OF, Nuisances
 from rig.identification.departures.outside import INSTEAD_OF, instead_of_sag, outside
 from rig.identification.departures.pieces import Coupling, Cut
-from rig.identification.departures.profile import profiles
+from rig.identification.departures.profile import profiles, untold
 from rig.identification.departures.rounding import by_rounding
 from rig.identification.driven import bears
 from rig.identification.estimate import PARAMETERS, Estimate, intervals
@@ -37,8 +37,10 @@ from rig.identification.hanging_load import behind_a_gear
 from rig.identification.model_error import (
     MANY_LAWS,
     NOT_SHOWN,
+    UNTOLD,
     any_bend,
     model_error,
+    of_long_lag,
     of_one_size,
     only_like,
 )
@@ -89,6 +91,7 @@ TURNS_BACK = 0.2  # of the whole motion: a way back shorter than that is no turn
 NO_CYCLE_TAUS, SHORTEST_S, LONGEST_S, NO_CYCLE = 3.3, 0.17, 2.2, 12.0
 MOST_ROWS, FEWER_ROWS = 8000, 2000  # of all tests; where a fit leaves more than noise, rows are not what bounds it
 LEAVES, LONG_LEAVES = 8.0, 2.0  # residual over the sensor's noise of such a fit; of tests of more than ``MOST_ROWS``
+LATE_ROWS = 2.0  # delay of a bench that is late
 ROUNDS = 3  # in which records that disagree with the tests are cut, before none of them is used
 EXPLAINED = 1.5  # residual over the sensor's noise, at most, of laws that leave little else: then rows bound the answer
 MOST_SURVEY_ROWS = 4000
@@ -495,13 +498,17 @@ def motor_law(
     bears_all = parts.problem.cut.begins.size == len(parts.problem.cut.windows)
     is_plain = bears_all and not choice.laws and not further and not coupled  # then its fit of the whole is the answer
     bends = any_bend(parts, bare, goes_along=bench.goes_along)
+    one_size = of_one_size(parts)  # of which that is a part
+    hides = [] if one_size else untold(parts, choice.laws, begun.chooser)
+    of_late = of_long_lag(parts, bare, LATE_ROWS * max(test.period_s for test in tests))
+    of_untold = (Entry(UNTOLD, *np.abs(moves).tolist()) for moves in hides)
     lines = budget(
         nuisances.tempered(of_model.effect),
         by_size,
         instead,
         scales,
         scatter * of_model.of_each,
-        (*of_model.lines, *like, *bends, *of_one_size(parts), *of_levels, *of_lag),
+        (*of_model.lines, *like, *bends, *one_size, *of_untold, *of_late, *of_levels, *of_lag),
     )
     holds = _holds(whole, turns_both="bias_V" in begun.chooser.core)
     bounded = (*_at_bounds(fit, choice.laws), *(() if coupled is None else damped_at_bound(coupled)))

@@ -117,7 +117,12 @@ class Smoothing(NamedTuple):
 
 
 def smoothings(tests: Sequence[TimeSeries], plain: Estimate) -> list[Smoothing | None]:
-    """How a column of each test was smoothed: of all alike, else of each by itself, where that is told."""
+    """How a column of each test was smoothed: of all alike, else of each by itself, where that is told.
+
+    None was behind a bridge that does not brake: where its drive ends, a motor goes on as a smoothed column does.
+    """
+    if plain.is_motor and plain_residual_rad(tests, plain, brakes=False) < CUTS * plain_residual_rad(tests, plain):
+        return [None] * len(tests)
     of_all = smoothing(tests, plain)
     if len(tests) > 1 and (of_all is None or of_all.left == 1.0):
         each = [smoothing([test], plain) for test in tests]

@@ -89,6 +89,8 @@ def test_rows_that_are_said_twice_count_once(tmp_path: Path, bench: Bench) -> No
     found = read(log_of(tmp_path, {name: np.repeat(values, 2) for name, values in columns.items()}), COUNTED)
     same(found, bench)
     assert any("1200 rows say the one before again" in note for note in found.notes)
+    own = {"t_s": 1e-3 * bench.ms, "u_V": bench.pwm, "y_rad": bench.counts}
+    assert len(read(log_of(tmp_path, {name: np.repeat(values, 2) for name, values in own.items()}))) == bench.ms.size
 
 
 def test_a_log_without_a_time_takes_the_period_of_its_rows(tmp_path: Path, bench: Bench) -> None:

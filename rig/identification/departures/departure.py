@@ -30,6 +30,7 @@ class Bench:
     path_per_row_rad    mean way from one sample to the next, rad
     small_drives_V      sizes of the drives below a tenth of the largest, V; at most six
     goes_along          whether the drive always pushes the way that the shaft turns, and never rests
+    delay_s             of the plain motor, s
     """
 
     K_rad_s_V: float
@@ -41,6 +42,7 @@ class Bench:
     path_per_row_rad: float
     small_drives_V: tuple[float, ...] = ()
     goes_along: bool = False
+    delay_s: float = 0.0
 
     @property
     def half_drive_V(self) -> float:
@@ -69,6 +71,7 @@ class Departure:
     limits           bounds of its fields in a fit, beside 0 and up for a law of one side
     sizes            sizes up to ``range_of`` to be looked at one by one, where the motion is not linear in a law of one
                      number; none: it is nearly linear
+    untold           largest size that a bench may have, where the tests do not even tell one of ``range_of``
     shown            on which benches it can be looked for, beside ``over_position``
     largest          largest size that a fit may give it; None: see ``most``
     leaps            whether the motion leaps where its one number grows: no derivative shows its size
@@ -95,6 +98,7 @@ class Departure:
     trials: Callable[[Bench], Sequence[Start]] = one_from_nothing
     limits: Callable[[Bench], Mapping[str, tuple[float, float]]] = lambda bench: {}
     sizes: Callable[[Bench], Sequence[float]] = lambda bench: ()
+    untold: Callable[[Bench], float] = lambda bench: 0.0
     shown: Callable[[Bench], bool] = lambda bench: True
     largest: float | None = None
     leaps: bool = False

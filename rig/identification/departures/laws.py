@@ -16,6 +16,8 @@ from rig.identification.departures.departure import Bench, Departure, Start
 EVEN, APART = 8, 1.05  # sizes of a dead band, evenly up to the largest; each over the one before, at least
 VISCOUS, MOST_VISCOUS = 0.1, 0.9  # of 1/K: the rest is back-EMF
 MOST_PER_RAD = 30.0
+LONG_DELAY_S = 0.015
+TAKEN = 0.19  # of the largest drive, at 95 %: a bridge of bipolar transistors takes 1.8 V (L298N, at 1 A) of 9.5 V
 OF_POLES = 3.0  # per radian: from there on it is the poles, or teeth; below it is a shaft behind a gear, a cam, a cable
 ROW_RAD = 1.5  # of a wave, from one row to the next at the mean speed: at twice that speed, more is beyond the samples
 MOST_SLOW = 90  # starts below it: over a longer travel they would be too many
@@ -45,6 +47,12 @@ def _half_friction_V(bench: Bench) -> float:
 def _sag_per_V(bench: Bench) -> float:
     """3 % per volt, and 15 % at the largest drive."""
     return min(0.03, 0.15 / bench.largest_V)
+
+
+def _lags(bench: Bench) -> Sequence[Start]:
+    """At 0 a lag is a delay, and a long delay may be a lag."""
+    found = _from("lag", 0.003, 0.010)
+    return found if bench.delay_s < LONG_DELAY_S else [*found, {"lag_s": bench.delay_s, "delay_s": 0.0}]
 
 
 def _dead_bands(bench: Bench) -> Sequence[float]:
@@ -112,7 +120,7 @@ DEPARTURES: list[Departure] = [
         "a relay test with drives against the motion: h1 nearly as large as h2",
         # from sizes, too, that swallow a small drive whole: that is no longer linear
         trials=lambda bench: _from("dead_band", 0.0, 0.02 * bench.largest_V, 0.05 * bench.largest_V),
-        sizes=_dead_bands,
+        sizes=_dead_bands, untold=lambda bench: TAKEN * bench.largest_V,
         shown=lambda bench: not bench.goes_along,  # where the drive always pushes, a dead band is friction
     ),
     Departure(
@@ -122,9 +130,9 @@ DEPARTURES: list[Departure] = [
     ),
     Departure("sag", "sag of the drive", "a supply with long leads, or a bridge that heats?", _sag_per_V),
     Departure(
-        "lag", "lag of the drive", "an inductance, or a filter before the bridge?", lambda bench: 0.010,
-        "faster samples, with the times at which the drive acts (t_u_s)",
-        trials=lambda bench: _from("lag", 0.003, 0.010),  # at 0 a lag is a delay
+        "lag", "lag of the drive", "an inductance, or a filter before the bridge, or of the readings?",
+        lambda bench: 0.010, "faster samples, with the times at which the drive acts (t_u_s)",
+        trials=_lags, largest=0.3,
     ),
     Departure(
         "viscous_by_direction", "viscous friction that differs by direction",

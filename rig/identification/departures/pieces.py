@@ -282,6 +282,7 @@ class Cut:
             float(np.mean(np.concatenate([np.abs(np.diff(window.y_rad)) for window in self.windows]))),
             self._small_drives(),
             all(_goes_along(window) for window in self.windows),
+            motor.delay_s,
         )
 
     def _small_drives(self) -> tuple[float, ...]:
@@ -404,9 +405,10 @@ def _goes_along(window: Window) -> bool:
     """Whether the drive, from its first push on, always pushes the one way that the shaft turns."""
     way = 1.0 if window.y_rad[-1] > window.y_rad[0] else -1.0
     u_V, y_rad = way * window.steps.u_V, way * window.y_rad
-    pushes = np.flatnonzero(u_V)
+    least_V = SAME_DRIVE * float(np.abs(u_V).max())  # a drive that was measured has an offset at rest
+    pushes = np.flatnonzero(np.abs(u_V) > least_V)
     back_rad = float(np.max(np.maximum.accumulate(y_rad) - y_rad))
-    return bool(pushes.size and np.all(u_V[pushes[0] :] > 0.0) and back_rad < TURNED_BACK * float(np.ptp(y_rad)))
+    return bool(pushes.size and np.all(u_V[pushes[0] :] > least_V) and back_rad < TURNED_BACK * float(np.ptp(y_rad)))
 
 
 def _swings(coupling: Coupling, period_s: float) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -3,6 +3,9 @@
 A dead band that swallows a small drive whole is such a law. The other numbers are fitted for each size in turn. If the
 fit has the law, the other sizes are looked at: they may explain the record as well as the one that was found. If it has
 not, the size that fits best may lie between two of them, and tell more than both: it is looked for, too.
+
+Where a loop's drive never brakes, a dead band is friction: of any size the rest fits as well. So where the largest of
+the usual sizes is as likely as none, ``untold`` looks at larger ones, up to what a bench may have.
 """
 
 from __future__ import annotations
@@ -15,12 +18,14 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.core.arrays import Array
-from rig.identification.departures.choice import TRIAL_ITERATIONS, Chooser, without
+from rig.identification.departures.choice import CHANCE, TRIAL_ITERATIONS, Chooser, without
 from rig.identification.departures.departure import Bench, Departure
 from rig.identification.departures.fit import Fit, Normal, refitted, solve, unit
 from rig.identification.departures.nuisances import OF
 
 STEPS = 3  # of a fit, from the size before
+AS_FRICTION = 0.1  # change of K over that of the drive, at most, by what is nothing but friction in a record
+NARROWER = 3  # sizes between one that is likely and one that is not, less 1
 HOPELESS = 60.0  # rise of the sum of squares from which on larger sizes are left out
 ITS_OWN = 2.0  # standard deviations of a size that was found, within which another size is the same
 
@@ -54,6 +59,30 @@ def profiles(fit: Fit, laws: Sequence[Departure], chooser: Chooser, effect: floa
         for law in chooser.candidates
         if law.sizes(chooser.bench)
     ]
+
+
+def untold(fit: Fit, laws: Sequence[Departure], chooser: Chooser) -> list[Array]:
+    """(3,) what each candidate may move tau, K and friction by that the record does not even tell in a usual size.
+
+    It moves them so in the largest size that a bench may have, and that the record does not exclude.
+    """
+    found = []
+    for law in (one for one in chooser.candidates if one not in laws and one.untold(chooser.bench) > 0.0):
+        [name], most = law.numbers, law.untold(chooser.bench)
+        one, likely, excluded, size, tries = fit, 0.0, math.inf, law.range_of(chooser.bench), NARROWER
+        while tries:  # from the usual size on, each twice the one before; then between two of them
+            trial = solve(refitted(one, motor=one.motor._replace(**{name: size})), TRIAL_ITERATIONS)
+            if _rise(trial, fit) <= CHANCE:
+                one, likely = trial, size
+            else:
+                excluded = size
+            tries = tries if math.isinf(excluded) else tries - 1 if likely else 0
+            tries = tries if likely < most else 0
+            size = min(2.0 * size, most) if math.isinf(excluded) else 0.5 * (likely + excluded)
+        moves = np.array([getattr(one.motor, key) - getattr(fit.motor, key) for key in OF])
+        if likely and abs(moves[1]) < AS_FRICTION * likely / chooser.bench.largest_V * fit.motor.K_rad_s_V:
+            found.append(min(excluded, most) / likely * moves)
+    return found
 
 
 def best_size(fit: Fit, law: Departure, laws: Sequence[Departure], chooser: Chooser) -> Fit:

@@ -29,7 +29,7 @@ from rig.run_folder.recording.log_format import (
     usual_places,
 )
 from rig.run_folder.recording.log_lines import is_date, is_number, shown
-from rig.run_folder.recording.log_mends import in_order, runs_of, unwrapped_clock
+from rig.run_folder.recording.log_mends import in_order, once, runs_of, unwrapped_clock
 from rig.run_folder.recording.recording import MIN_ROWS, Columns, Recording, assembled, require_rising
 from rig.run_folder.recording.sample_columns import COLUMNS
 
@@ -79,7 +79,10 @@ def read_csv_runs(path: Path) -> list[Recording]:
     for number, run in enumerate(runs, 1):
         source = path if len(runs) == 1 else path.with_name(f"{path.name} (run {number} of {len(runs)})")
         heard = notes if number == 1 else []
-        own, lines = in_order({name: values[run] for name, values in columns.items()}, list(row_numbers[run]), heard)
+        own = once(
+            {"line": np.array(row_numbers[run]), **{name: values[run] for name, values in columns.items()}}, heard
+        )
+        own, lines = in_order(own, own.pop("line").tolist(), heard)
         require_rising(source, own["t_s"], lines)
         seen = np.flatnonzero(np.isfinite(own["y_rad"]))
         steps = None if seen.size == len(lines) else (own["t_s"], own["u_V"])

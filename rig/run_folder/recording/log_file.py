@@ -123,7 +123,7 @@ def read_log(path: Path, log: LogFormat) -> list[Recording]:
 def _recording(source: Path, raw: Columns, rows: Sequence[int], log: LogFormat, notes: Sequence[str]) -> Recording:
     """One run as a recording: in s, V and rad, unwrapped; a velocity summed up to a position. Raises RecordingError."""
     notes, choices = list(notes), log.columns()
-    raw = _in_place(_once(raw | {"line": np.array(rows)}, notes), log)
+    raw = _in_place(log_mends.once(raw | {"line": np.array(rows)}, notes), log)
     rows = raw.pop("line").tolist()
     raw, rows = log_mends.in_order(raw | {"t_s": _times_s(raw, log, notes)}, rows, notes)
     t_s, u_V = raw["t_s"], raw["u_V"]
@@ -226,16 +226,6 @@ def _supply_V(text: CsvText, rows: Sequence[int], names: Sequence[str], log: Log
         raise RecordingError(text.path, f"column {shown(names[places[0]])} holds no voltage", "give --supply-V")
     notes.append(f"the supply is the median of column {names[places[0]]}, {supply_V:.3g} V")
     return supply_V
-
-
-def _once(raw: Columns, notes: list[str]) -> Columns:
-    """The rows without those that say the one before again, if their times rise then; with a note."""
-    again = np.all([np.diff(values) == 0.0 for name, values in raw.items() if name != "line"], axis=0)
-    kept = np.append(True, ~again)
-    if not again.any() or np.any(np.diff(raw["t_s"][kept]) <= 0.0):
-        return raw
-    notes.append(f"{np.count_nonzero(again)} rows say the one before again, time included, and were left out")
-    return {name: values[kept] for name, values in raw.items()}
 
 
 def _in_place(raw: Columns, log: LogFormat) -> Columns:

@@ -79,6 +79,17 @@ def in_order(columns: Columns, lines: Sequence[int], notes: list[str]) -> tuple[
     return {name: values[order] for name, values in columns.items()}, [lines[k] for k in order]
 
 
+def once(raw: Columns, notes: list[str]) -> Columns:
+    """The rows without those that say the one before again, if their times rise then; with a note."""
+    again = np.all([values[1:] == values[:-1] for name, values in raw.items() if name != "line"], axis=0)
+    kept = np.append(True, ~again)
+    t = raw["t_s"][kept]
+    if not again.any() or np.any(t[1:] <= t[:-1]):
+        return raw
+    notes.append(f"{np.count_nonzero(again)} rows say the one before again, time included, and were left out")
+    return {name: values[kept] for name, values in raw.items()}
+
+
 def runs_of(t: Floats) -> list[slice]:
     """The rows of each run in a file whose time begins again; all rows as one where it does not.
 
