@@ -18,7 +18,8 @@ static const double EVENT_S = sizeof(double) < 8u ? 1e-7 : 1e-14;
 static const double STRETCH = sizeof(double) < 8u ? 4.0 : 1.0;
 static const double HUGE_POWER = sizeof(double) < 8u ? 80.0 : 700.0;
 /* Largest steps, so that a relay test of 20 s stays within 1e-6 rad of its exact motion. */
-static const double STEP_OF_TAU = 0.05;     /* s/s; any part that changes the right side */
+static const double CURVED_STEP = 0.05;     /* of tau, s/s; drag, and the Stribeck effect, which grows without end beyond standstill */
+static const double STEP_OF_TAU = sizeof(double) < 8u ? 0.05 : 0.1; /* s/s; any other part that changes the right side */
 static const double SHORT_LAG_S = 1e-3;     /* of a shorter lag the derivative would suffer before the motion does */
 static const double STEP_OF_LAG = 0.065;    /* s/s, at 1 V s of fading drive times its time constant; longer the less there is */
 static const double STEP_OF_TURN = 0.15;    /* rad of the phase of a force over position */
@@ -110,18 +111,23 @@ static double lagged(const motor *m, double staged_V, double w_V, double h_s)
     return m->lag_s <= 0.0 ? staged_V : staged_V + (w_V - staged_V) * exp(-h_s / m->lag_s);
 }
 
-/* A wave over the travel at a position. */
+/* The waves at a position: over the travel, and of the cogging. */
 typedef struct {
-    double sine, cosine;
+    double sine, cosine, cog_sine, cog_cosine;
 } wave;
 
 static wave wave_at(const motor *m, double y)
 {
-    wave here = {0.0, 1.0};
+    wave here = {0.0, 1.0, 0.0, 1.0};
     if (m->turns) {
         const double q = y - m->centre_rad;
         here.sine = sin(q);
         here.cosine = cos(q);
+    }
+    if (m->cogs) {
+        const double q = m->cogging_per_rad * y;
+        here.cog_sine = sin(q);
+        here.cog_cosine = cos(q);
     }
     return here;
 }
@@ -132,25 +138,21 @@ static double over_travel(const motor *m, wave here, double sine, double cosine)
     return m->turns ? sine * here.sine + cosine * (here.cosine - m->mean_cosine) : 0.0;
 }
 
-static double force(const motor *m, double y, wave here)
+static double force(const motor *m, wave here)
 {
-    double total = over_travel(m, here, m->force_sin_V, m->force_cos_V);
-    if (m->cogs) {
-        const double q = m->cogging_per_rad * y;
-        total += m->cogging_sin_V * sin(q) + m->cogging_cos_V * cos(q);
-    }
-    return total;
+    const double total = over_travel(m, here, m->force_sin_V, m->force_cos_V);
+    return m->cogs ? total + (m->cogging_sin_V * here.cog_sine + m->cogging_cos_V * here.cog_cosine) : total;
 }
 
 /* Torque that load friction sees, at the drive `w`; and what has another law of motion where it turns. */
-static double transmitted(const motor *m, double w, double v, double y, wave here)
+static double transmitted(const motor *m, double w, double v, wave here)
 {
-    return torque(m, w, v) + m->load_outside * force(m, y, here);
+    return torque(m, w, v) + m->load_outside * force(m, here);
 }
 
 static double turning(const motor *m, const real_state *at, wave here)
 {
-    return m->load_friction != 0.0 ? transmitted(m, at->w, at->v, at->y, here) : at->w - back_emf(m, at->v);
+    return m->load_friction != 0.0 ? transmitted(m, at->w, at->v, here) : at->w - back_emf(m, at->v);
 }
 
 static double level(const motor *m, double speed, wave here, double t_s)
@@ -173,14 +175,14 @@ static double level_at_rest(const motor *m, wave here, double t_s)
 }
 
 /* Pull on a motor at rest under the drive `w`, and the friction that it must pass, without bristles. */
-static double pull_at_rest(const motor *m, double w, double y, wave here)
+static double pull_at_rest(const motor *m, double w, wave here)
 {
-    return torque(m, w, 0.0) + m->bias_V - force(m, y, here);
+    return torque(m, w, 0.0) + m->bias_V - force(m, here);
 }
 
-static double load_at_rest(const motor *m, double w, double y, wave here)
+static double load_at_rest(const motor *m, double w, wave here)
 {
-    return m->load_friction == 0.0 ? 0.0 : m->load_friction * fabs(transmitted(m, w, 0.0, y, here));
+    return m->load_friction == 0.0 ? 0.0 : m->load_friction * fabs(transmitted(m, w, 0.0, here));
 }
 
 static double level_of_bristles(const motor *m, double speed, wave here, double t_s)
@@ -200,10 +202,10 @@ static double target(const motor *m, double sign, const real_state *at, wave her
     const double viscous = speed * (m->viscous_by_direction_V_s_rad + m->drag_V_s2_rad2 * at->v);
     double drive = at->w;
     if (m->transmits) {
-        const double load = m->load_friction * fabs(transmitted(m, at->w, at->v, at->y, here));
+        const double load = m->load_friction * fabs(transmitted(m, at->w, at->v, here));
         drive = torque(m, at->w, at->v) + back_emf(m, at->v) - sign * load;
     }
-    return m->K_rad_s_V * (drive + m->bias_V - force(m, at->y, here) - friction - viscous);
+    return m->K_rad_s_V * (drive + m->bias_V - force(m, here) - friction - viscous);
 }
 
 static double bending(const motor *m, double sign, const real_state *at, wave here, double t_s)
@@ -222,8 +224,8 @@ static double direction(const motor *m, const real_state *at, double staged_V, d
         return at->v > 0.0 ? 1.0 : -1.0;
     }
     const wave here = wave_at(m, at->y);
-    double pull = pull_at_rest(m, at->w, at->y, here);
-    const double load = load_at_rest(m, at->w, at->y, here);
+    double pull = pull_at_rest(m, at->w, here);
+    const double load = load_at_rest(m, at->w, here);
     if (m->bristle_V_rad > 0.0) {
         pull -= at->f;
         if (fabs(pull) <= BALANCED + load) {
@@ -289,18 +291,28 @@ typedef struct {
     double a1, a2, a3, a4;
     double v2, y2, f2, v3, y3, f3, v4, y4, f4;
     double slide;
-    wave here1, here2, here3, here4; /* over the travel */
-    weights k, b; /* of the motion, and of the bristles */
-    double taus;  /* of the step that `k` is of; below 0: of none yet */
+    wave here1, here2, here3, here4, end; /* the last at `end_y`, where a step ended that was looked at */
+    weights k, b;                         /* of the motion, and of the bristles */
+    double taus, end_y;                   /* time constants of the step that `k` is of; nan: none yet */
 } stages;
 
 /* of a step of no time constants */
 static const weights NO_FADING = {1.0, 1.0, 1.0, 1.0 / 6.0, 1.0 / 3.0, 1.0 / 6.0, 1.0, 0.5, 1.0 / 6.0, 1.0 / 24.0};
 
+/* The waves where a step ends, which is where the next one sets out. */
+static wave wave_at_end(const motor *m, double y, stages *s)
+{
+    if (y != s->end_y) {
+        s->end = wave_at(m, y);
+        s->end_y = y;
+    }
+    return s->end;
+}
+
 /* The first stage of any step from there in the direction `sign`. */
 static void set_out(const motor *m, double sign, const real_state *at, double t, stages *s)
 {
-    s->here1 = wave_at(m, at->y);
+    s->here1 = wave_at_end(m, at->y, s);
     s->a1 = target(m, sign, at, s->here1, t);
 }
 
@@ -389,7 +401,9 @@ static double longest_step(const motor *m, double sign, const real_state *at, do
         const double rate = pull + m->K_rad_s_V * fabs(m->stribeck_V) / tau + 1e-9;
         longest = least(longest, STEP_OF_STRIBECK * fade * unit / rate);
     }
-    if (m->falls || m->turns || m->transmits || spring > 0.0 || m->viscous_by_direction_V_s_rad != 0.0 || m->drag_V_s2_rad2 != 0.0) {
+    if (m->falls || m->drag_V_s2_rad2 != 0.0) {
+        longest = least(longest, CURVED_STEP * tau);
+    } else if (m->turns || m->transmits || spring > 0.0 || m->viscous_by_direction_V_s_rad != 0.0) {
         longest = least(longest, STEP_OF_TAU * tau);
     }
     return STRETCH * longest;
@@ -400,8 +414,8 @@ static double margin(const motor *m, double sign, const real_state *at, double s
 {
     const double w = lagged(m, staged_V, at->w, h);
     const wave here = wave_at(m, at->y);
-    const double held = level_at_rest(m, here, t + h) + load_at_rest(m, w, at->y, here); /* as in `direction`, to the last bit */
-    return sign * pull_at_rest(m, w, at->y, here) - held;
+    const double held = level_at_rest(m, here, t + h) + load_at_rest(m, w, here); /* as in `direction`, to the last bit */
+    return sign * pull_at_rest(m, w, here) - held;
 }
 
 /* Motion in one direction, or rest.
@@ -418,7 +432,7 @@ typedef struct {
     stages in;
 } step;
 
-static const step FIRST_STEP = {.in = {.taus = -1.0}}; /* whose weights are not known yet */
+static const step FIRST_STEP = {.in = {.taus = NAN, .end_y = NAN}}; /* whose weights are not known yet */
 
 /* The next step of a motor that friction holds, at most `longest_s`: to its end, or to where it breaks away. */
 static void rest(const motor *m, const real_state *at, double staged_V, double t_s, double longest_s, step *s)
@@ -467,14 +481,14 @@ static double until_torque_turns(const motor *m, double sign, const real_state *
     double low = 0.0;
     double high = h;
     double first = turning(m, at, s->in.here1);
-    double last = turning(m, &s->end, wave_at(m, s->end.y));
+    double last = turning(m, &s->end, wave_at_end(m, s->end.y, &s->in));
     if (fabs(first) <= TURNED_V || fabs(last) <= TURNED_V || (first > 0.0) == (last > 0.0)) {
         return h;
     }
     for (int i = 0; i < ROUNDS && fabs(last) > TURNED_V; i++) { /* friction is continuous there: near it will do */
         h = low + (high - low) * least(most(first / (first - last), 0.05), 0.95);
         s->end = moved(m, sign, at, staged_V, t_s, h, &s->in);
-        const double now = turning(m, &s->end, wave_at(m, s->end.y));
+        const double now = turning(m, &s->end, wave_at_end(m, s->end.y, &s->in));
         if (fabs(now) <= TURNED_V) {
             break;
         }
@@ -518,7 +532,7 @@ static void next_step(const motor *m, const real_state *at, double staged_V, dou
     double low = 0.0;
     double high = h;
     for (int i = 0; i < ROUNDS; i++) {
-        const double slope = sign * (target(m, sign, &s->end, wave_at(m, s->end.y), t_s + h) - s->end.v) / m->tau_s;
+        const double slope = sign * (target(m, sign, &s->end, wave_at_end(m, s->end.y, &s->in), t_s + h) - s->end.v) / m->tau_s;
         double next = slope < 0.0 ? h - sign * s->end.v / slope : 0.5 * (low + high);
         if (!(low < next && next < high)) {
             next = 0.5 * (low + high);
@@ -581,7 +595,7 @@ void real_start(const real_motor *numbers, real_state *at, double y)
     if (m->bristle_V_rad > 0.0) {
         const wave here = wave_at(m, y);
         const double held = level_of_bristles(m, 0.0, here, m->start_s);
-        at->f = least(most(pull_at_rest(m, at->w, y, here), -held), held);
+        at->f = least(most(pull_at_rest(m, at->w, here), -held), held);
     }
 }
 
@@ -624,7 +638,7 @@ void real_advance(const real_motor *numbers, real_state *at, double u_V, const d
 double real_force(const real_motor *numbers, double y)
 {
     const motor m = motor_of(numbers);
-    return force(&m, y, wave_at(&m, y));
+    return force(&m, wave_at(&m, y));
 }
 
 double real_level(const real_motor *numbers, double speed, double y)

@@ -22,6 +22,7 @@ enum { STAGES = REAL_STAGE_ROWS - 3 };
  * by_stage         for each stage, of the target velocity and of the bristles' rate in turn, by column: what does not
  *                  come from the state
  * curved           whether the sensor is, or could be: a derivative by its curvature is asked for
+ * timed            whether a derivative by when drives act is asked for: delay or lag
  */
 typedef struct {
     const int64_t *which;
@@ -29,7 +30,7 @@ typedef struct {
     int columns, waves, width;
     double *v, *y, *f, *x;
     double *w, *given, *level, *stage[STAGES], *by_stage[STAGES];
-    bool curved;
+    bool curved, timed;
 } slopes;
 
 /* Derivatives of a right side: of the target velocity by v, y and w, of the bristles' rate by v, y and f. */
@@ -68,7 +69,7 @@ typedef struct {
 
 static torque_side side_of(const motor *m, const real_state *at, wave here)
 {
-    return (torque_side){transmitted(m, at->w, at->v, at->y, here) > 0.0 ? 1.0 : -1.0, passed(m, at->w, at->v)};
+    return (torque_side){transmitted(m, at->w, at->v, here) > 0.0 ? 1.0 : -1.0, passed(m, at->w, at->v)};
 }
 
 /* Adds to `a` and `by` what load friction, the supply's resistance and the bridge change, where the torque is on a `side`;
@@ -82,14 +83,14 @@ static double load_slopes(const motor *m, double sign, torque_side side, const r
     const double idle = side.passed.idle;
     const double against = side.passed.against;
     const double share = idle * against * by_supply;
-    const double seen = transmitted(m, w, at->v, at->y, here);
+    const double seen = transmitted(m, w, at->v, here);
     const double load = side.sign * sign * m->load_friction;
     const double left = 1.0 - load; /* of a change of the torque */
     by->aw = gain * left * share * (1.0 - 2.0 * m->source_per_V2 * w * (w - back) * by_supply);
     by->av += (1.0 - m->viscous_share) * (1.0 - left * share);
     a[AT_K_rad_s_V] += back * (left * share - 1.0);
     a[AT_load_friction] = -gain * sign * fabs(seen);
-    a[AT_load_outside] = -gain * load * force(m, at->y, here);
+    a[AT_load_outside] = -gain * load * force(m, here);
     a[AT_viscous_share] = at->v * (left * share - 1.0);
     a[AT_source_per_V2] = -gain * left * (w - back) * w * w * share * by_supply;
     a[AT_runs_free] = idle != 1.0 ? -gain * left * (w - back) * against * by_supply : 0.0;
@@ -123,17 +124,14 @@ static by_state right_sides(const motor *m, const slopes *d, double sign, torque
         by.ay += by_force * (m->force_sin_V * here.cosine - m->force_cos_V * here.sine);
     }
     if (m->cogs) {
-        const double q = m->cogging_per_rad * y;
-        const double sine = sin(q);
-        const double cosine = cos(q);
-        const double slope = m->cogging_sin_V * cosine - m->cogging_cos_V * sine;
-        a[AT_cogging_sin_V] = by_force * sine;
-        a[AT_cogging_cos_V] = by_force * cosine;
+        const double slope = m->cogging_sin_V * here.cog_cosine - m->cogging_cos_V * here.cog_sine;
+        a[AT_cogging_sin_V] = by_force * here.cog_sine;
+        a[AT_cogging_cos_V] = by_force * here.cog_cosine;
         a[AT_cogging_per_rad] = by_force * y * slope;
         by.ay += by_force * m->cogging_per_rad * slope;
     }
-    wave at_order = {0.0, 1.0};
-    wave turn = {0.0, 1.0};
+    wave at_order = {0.0, 1.0, 0.0, 1.0};
+    wave turn = at_order;
     double apart = 0.0;
     for (int k = 0; k < d->waves; k++) {
         const double order = d->orders[k];
@@ -143,8 +141,10 @@ static by_state right_sides(const motor *m, const slopes *d, double sign, torque
             at_order.cosine = last.cosine * turn.cosine - last.sine * turn.sine;
         } else {
             apart = k + 1 < d->waves ? d->orders[k + 1] - order : 0.0;
-            at_order = (wave){sin(order * y), cos(order * y)};
-            turn = (wave){sin(apart * y), cos(apart * y)};
+            at_order.sine = sin(order * y);
+            at_order.cosine = cos(order * y);
+            turn.sine = sin(apart * y);
+            turn.cosine = cos(apart * y);
         }
         a[REAL_WAVES + 2 * k] = by_force * at_order.sine;
         a[REAL_WAVES + 2 * k + 1] = by_force * at_order.cosine;
@@ -239,7 +239,7 @@ static real_state begin(const motor *m, const slopes *d, const double start[4], 
     }
     const wave here = wave_at(m, at.y);
     const double top = level_of_bristles(m, fabs(v0), here, t);
-    const double pull = pull_at_rest(m, w, at.y, here);
+    const double pull = pull_at_rest(m, w, here);
     if (bend == 0.0 && fabs(pull) > top) {
         bend = pull > 0.0 ? 1.0 : -1.0;
     }
@@ -442,8 +442,8 @@ static void kick(const motor *m, const slopes *d, const real_state *before, cons
     double slower = later; /* a short lag acts as a delay, except where it lets go of a motor at rest */
     if (was == 0.0 && at->v == 0.0 && later != 0.0 && m->bristle_V_rad <= 0.0) {
         const wave here = wave_at(m, at->y);
-        const double beyond = fabs(pull_at_rest(m, drives_V[1], at->y, here)) - level_at_rest(m, here, t) -
-                              load_at_rest(m, drives_V[1], at->y, here);
+        const double beyond = fabs(pull_at_rest(m, drives_V[1], here)) - level_at_rest(m, here, t) -
+                              load_at_rest(m, drives_V[1], here);
         slower = later * log(fabs(drives_V[1] - drives_V[0]) / beyond);
         slower += copysign(m->K_rad_s_V / m->tau_s * beyond, later);
     }
@@ -483,14 +483,19 @@ static void read_slopes(const motor *m, const slopes *d, double x, double *row)
     }
 }
 
-static bool is_curved(const motor *m, const real_columns *c)
+static bool asks(const real_columns *c, int64_t from, int64_t to)
 {
-    bool curved = m->linearity_sin1_rad != 0.0 || m->linearity_cos1_rad != 0.0 || m->linearity_sin2_rad != 0.0 ||
-                  m->linearity_cos2_rad != 0.0;
+    bool asked = false;
     for (int64_t i = 0; i < c->columns; i++) {
-        curved = curved || (AT_linearity_sin1_rad <= c->which[i] && c->which[i] <= AT_linearity_cos2_rad);
+        asked = asked || (from <= c->which[i] && c->which[i] <= to);
     }
-    return curved;
+    return asked;
+}
+
+static bool is_curved(const motor *m)
+{
+    return m->linearity_sin1_rad != 0.0 || m->linearity_cos1_rad != 0.0 || m->linearity_sin2_rad != 0.0 ||
+           m->linearity_cos2_rad != 0.0;
 }
 
 static slopes room_for(const motor *m, const real_columns *c)
@@ -523,7 +528,8 @@ static slopes room_for(const motor *m, const real_columns *c)
     for (int i = 0; i < STAGES; i++) {
         d.stage[i] = d.level + (i + 1) * d.width;
     }
-    d.curved = is_curved(m, c);
+    d.curved = is_curved(m) || asks(c, AT_linearity_sin1_rad, AT_linearity_cos2_rad);
+    d.timed = asks(c, AT_delay_s, AT_delay_s) || asks(c, AT_lag_s, AT_lag_s);
     return d;
 }
 
@@ -563,7 +569,7 @@ void real_readings(const real_motor *numbers, const real_record *record, const r
     const int64_t n = record->rows;
     const double looks = (double)(n + edges);
     double left = STEPS_OF_ROW * looks;
-    left += least(2.0 * (t_s[n - 1] - t_s[0]) / (STEP_OF_TAU * m->tau_s), STEPS_OF_TAUS * looks);
+    left += least(2.0 * (t_s[n - 1] - t_s[0]) / (CURVED_STEP * m->tau_s), STEPS_OF_TAUS * looks);
     double left_of_turning = STEPS_OF_TURNING * looks;
     const double steps_of_rad = 2.0 * (m->cogs ? most(1.0, fabs(m->cogging_per_rad)) : 1.0) / STEP_OF_TURN;
     int64_t j = edge_at(record, m->delay_s, t_s[0] - FORGOTTEN_LAGS * most(m->lag_s, 0.0));
@@ -650,7 +656,7 @@ void real_readings(const real_motor *numbers, const real_record *record, const r
             staged_V = drives_V[1];
             if (m->lag_s <= 0.0) {
                 at.w = staged_V;
-                if (sloping) {
+                if (d.timed) {
                     kick(m, &d, &before, &at, now, drives_V);
                 }
             }

@@ -11,7 +11,7 @@ a single one that acts less than it says may be anything.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identification.estimate import Estimate
-from rig.identification.in_pieces import plain_residual_rad
+from rig.identification.in_pieces import MOST_ROWS, plain_residual_rad
 from rig.identification.lowest import lowest
-from rig.run_folder.recording.series import Steps, TimeSeries, noise_of_all_rad
+from rig.run_folder.recording.series import Steps, TimeSeries, delays_of_all_s, noise_of_all_rad
 
 LEAVES = 3.0  # residual over the sensor's noise from which on a limit is looked for; with it at most that,
 CUTS = 0.1  # or this residual over that without it
@@ -33,6 +33,7 @@ FEWEST_SIZES, BEYOND = 6, 0.02  # sizes of drives beyond the limit, at least, an
 # side that show a speed, at most. Residual beyond noise with such a limit over that without: a drag cuts it by half
 LIMITED, FASTEST, SURE, MOST_BESIDE, CUTS_BY_SPEED = (0.95, 0.97, 0.985), 0.98, 0.005, 10, 0.25
 FIRST_BY_SPEED, FINER_BY_SPEED = tuple(np.geomspace(1.0, 0.25, 8).tolist()), 10
+FEWEST = 40  # rows of a part that is slower behind the longest delay, where none are taken as one
 
 
 class Limit(NamedTuple):
@@ -69,11 +70,27 @@ def limit_of(tests: Sequence[TimeSeries], plain: Estimate) -> Limit:
     if any(test.edges is not None or test.t_u_s is not None for test in tests):
         return Limit()
     top_rad_s = max(float(np.quantile(_speeds(test), FASTEST)) for test in tests)
+
+    def beyond(rad: float) -> float:
+        return max(rad**2 - noise_rad**2, 0.0)
+
+    most = CUTS_BY_SPEED**2 * beyond(without)
+    rows = sum(map(len, tests))
+    fewest = FEWEST * math.ceil(rows / MOST_ROWS) + delays_of_all_s(tests)[1] / min(test.period_s for test in tests)
+    slower = [part for test in tests for part in _slower(test, LIMITED[0] * top_rad_s) if len(part) >= fewest]
+    share = sum(map(len, slower)) / rows
+    if slower and share * beyond(plain_residual_rad(slower, plain)) > most:
+        return Limit()  # that is left where no such limit acts
     by_speed = [_best(share * top_rad_s, largest_V, tests, plain) for share in LIMITED]
     limit, left = min(by_speed, key=lambda found: found[1])
-    beyond, beyond_without = (max(rad**2 - noise_rad**2, 0.0) for rad in (left, without))
-    is_told = left < SHOWS * without and beyond < CUTS_BY_SPEED**2 * beyond_without
-    return limit if is_told else Limit()
+    return limit if left < SHOWS * without and beyond(left) < most else Limit()
+
+
+def _slower(test: TimeSeries, than_rad_s: float) -> Iterator[TimeSeries]:
+    """The parts of a test, of two rows and more, in which all rows are slower."""
+    is_slower = np.concatenate(([False], _speeds(test) < than_rad_s, [False]))
+    parts = np.flatnonzero(np.diff(is_slower)).reshape(-1, 2).tolist()
+    yield from (test.part(first, stop) for first, stop in parts if stop - first > 1)
 
 
 def _best(from_rad_s: float, largest_V: float, tests: Sequence[TimeSeries], plain: Estimate) -> tuple[Limit, float]:
@@ -95,7 +112,7 @@ def _best(from_rad_s: float, largest_V: float, tests: Sequence[TimeSeries], plai
 def clipped(test: TimeSeries, limit: Limit) -> TimeSeries:
     """The test as its motor was driven: no drive is beyond the limit, > 0."""
     edges, drive_V = test.edges, limit.drive_V
-    most_V = np.where(_speeds(test) >= limit.from_rad_s, drive_V, math.inf)
+    most_V = np.where(_speeds(test) >= limit.from_rad_s, drive_V, math.inf) if limit.from_rad_s else drive_V
     cut = None if edges is None else Steps(edges.edge_s, np.clip(edges.u_V, -drive_V, drive_V))
     return replace(test, u_V=np.clip(test.u_V, -most_V, most_V), edges=cut)
 

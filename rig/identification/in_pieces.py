@@ -133,7 +133,7 @@ def plain_residual_rad(tests: Sequence[TimeSeries], plain: Estimate, *, brakes: 
     thin = [thinned(test, rows) for test in tests]
     delay_s = delays_of_all_s(tests)
     cut = Cut.whole(thin, delay_s[1]).every(PIECE_S)
-    free = tuple(name for name in (*CORE, DELAY) if name != "bias_V" or not one_way(tests))
+    free = tuple(name for name in (*CORE, DELAY) if name != "bias_V" or not one_way(thin))
     motor = RealMotor(plain.tau_s, plain.K_rad_s_V, max(plain.fc_V, 0.0), plain.asym_V, max(plain.delay_s, 0.0))
     motor = motor if brakes else motor._replace(no_brake=1.0)
     problem = Problem(cut, free, limits_of(free, cut, delay_s), 1e-3 * cut.frames[0].half_travel_rad)

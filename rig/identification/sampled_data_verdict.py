@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -207,8 +208,13 @@ def is_early(estimate: Estimate, tests: Sequence[TimeSeries]) -> bool:
 
 def _moved(estimate: Estimate, tests: Sequence[TimeSeries]) -> Solution:
     """The plain motor with a free delay against t_u_s."""
-    period = max(test.period_s for test in tests)
     theta = Theta(estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V, estimate.asym_V, 0.0)
+    return _with_free_delay(theta, tuple(tests))
+
+
+@lru_cache(maxsize=1)  # each question about the times of one identification asks for the same fit
+def _with_free_delay(theta: Theta, tests: tuple[TimeSeries, ...]) -> Solution:
+    period = max(test.period_s for test in tests)
     tried = (theta._replace(delay_s=rows * period) for rows in (-1.0, 0.0, 1.0))
     reach = REACH_PERIODS * period
     return min((refit(tests, start, PARAMETERS, (-reach, reach)) for start in tried), key=_rms_rad)

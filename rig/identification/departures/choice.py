@@ -280,10 +280,12 @@ class Chooser:
 
     def bare(self, fit: Fit, laws: Sequence[Departure], law: Departure) -> Fit:
         """The fit of the same rows without one of its laws, the others at their best shape, with the same noise."""
-        others = tuple(one for one in laws if one is not law)
-        bare = solve(self.with_laws(fit, others, without(fit.motor, law)))
-        is_faint = (bare.cost - fit.cost) / unit(fit) < FAINT
-        return self._at_best_shape(bare, others) if is_faint else bare
+        if law.name not in fit.bare:
+            others = tuple(one for one in laws if one is not law)
+            bare = solve(self.with_laws(fit, others, without(fit.motor, law)))
+            is_faint = (bare.cost - fit.cost) / unit(fit) < FAINT
+            fit.bare[law.name] = self._at_best_shape(bare, others) if is_faint else bare
+        return fit.bare[law.name]
 
     def _predicting(self, fit: Fit, laws: tuple[Departure, ...], whole: Cut) -> tuple[Fit, tuple[Departure, ...]]:
         """The fit without laws that take too little of the error in blocks that were not fitted, the least one first.

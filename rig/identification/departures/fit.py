@@ -233,6 +233,7 @@ class Fit:
     cost            its whitened sum of squares
     arrived         whether the iterations came to an end
     iterates        tau, K, fc after each
+    bare            fits without one of its laws that were asked for, by the law's name
     """
 
     problem: Problem
@@ -242,6 +243,7 @@ class Fit:
     cost: float
     arrived: bool
     iterates: Array = field(default_factory=lambda: np.empty((0, 3)))
+    bare: dict[str, Fit] = field(default_factory=dict, init=False)
 
     @cached_property
     def rows(self) -> Rows:
@@ -264,6 +266,8 @@ class Fit:
     def with_own_noise(self) -> Fit:
         """The same solution, seen as least squares with the noise of its residual, large residuals as they are."""
         problem = replace(self.problem, robust_rad=math.inf, noise=self.problem.cut.noise_of(self.residual_rad))
+        if (problem.noise, problem.robust_rad) == (self.problem.noise, self.problem.robust_rad):
+            return self
         seen = replace(self, problem=problem, cost=problem.cost(self.residual_rad, self.motor))
         if "slopes" in self.__dict__:
             seen.__dict__["slopes"] = self.slopes
