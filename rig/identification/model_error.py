@@ -202,7 +202,8 @@ def of_long_lag(fit: Fit, bare: Mapping[str, Fit], late_s: float) -> tuple[Entry
     if max(lag_s, fit.motor.lag_s) < LONG_DELAY_S:
         return ()
     taken_V = [fit.motor.dead_band_V, *(one.motor.fc_V - fit.motor.fc_V for name, one in bare.items() if name != "lag")]
-    return (Entry(OF_READINGS, lag_s, 0.0, COVERAGE * float(np.abs(taken_V).max())),)
+    taken = COVERAGE * float(np.abs(taken_V).max())
+    return (Entry(OF_READINGS, lag_s, 0.0, max(taken, ALIKE * abs(fit.motor.fc_V))),)
 
 
 def of_one_size(fit: Fit) -> tuple[Entry, ...]:

@@ -72,16 +72,17 @@ def untold(fit: Fit, laws: Sequence[Departure], chooser: Chooser) -> list[Array]
         one, likely, excluded, size, tries = fit, 0.0, math.inf, law.range_of(chooser.bench), NARROWER
         while tries:  # from the usual size on, each twice the one before; then between two of them
             trial = solve(refitted(one, motor=one.motor._replace(**{name: size})), TRIAL_ITERATIONS)
-            if _rise(trial, fit) <= CHANCE:
+            moved = abs(trial.motor.K_rad_s_V / fit.motor.K_rad_s_V - 1.0)
+            if _rise(trial, fit) <= CHANCE and moved < AS_FRICTION * size / chooser.bench.largest_V:
                 one, likely = trial, size
             else:
                 excluded = size
             tries = tries if math.isinf(excluded) else tries - 1 if likely else 0
             tries = tries if likely < most else 0
             size = min(2.0 * size, most) if math.isinf(excluded) else 0.5 * (likely + excluded)
-        moves = np.array([getattr(one.motor, key) - getattr(fit.motor, key) for key in OF])
-        if likely and abs(moves[1]) < AS_FRICTION * likely / chooser.bench.largest_V * fit.motor.K_rad_s_V:
-            found.append(min(excluded, most) / likely * moves)
+        if likely:
+            share = min(excluded, most) / likely
+            found.append(share * np.array([getattr(one.motor, key) - getattr(fit.motor, key) for key in OF]))
     return found
 
 
