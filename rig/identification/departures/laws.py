@@ -24,7 +24,7 @@ MOST_SLOW = 90  # starts below it: over a longer travel they would be too many
 WAVES_PER_RAD = 6.0  # most of a friction over position
 FREQUENCIES_RAD_S = tuple(2.0 * math.pi * hertz for hertz in (6.0, 9.0, 13.0, 19.0))  # slower ones are seen by eye
 DAMPINGS = (0.1, 0.25)  # of a belt alone; with what the motor's back-EMF takes where the load is half the mass
-MOST_FREE = 1.1  # of the back-EMF: a motor with next to no viscous friction, and what a fit is off
+FREE = (0.4, 1.1)  # of 1/K, the back-EMF in it: a bridge brakes or does not; no viscous friction, and what a fit is off
 _COASTING = "coasting at 0 V from several speeds, and a large drive that falls to a smaller one"
 _SWEEPS = "slow sweeps over the travel both ways"
 _REVERSALS = "drives of several sizes, with reversals; or the supply's voltage beside them"
@@ -209,11 +209,13 @@ DEPARTURES: list[Departure] = [
     ),
     Departure(
         "runs_free", "bridge that lets the motor run free at 0 V", "one that is switched off there?", lambda bench: 1.0,
-        _COASTING, trials=lambda bench: _from("runs_free", 0.0, 0.8), largest=MOST_FREE,
+        _COASTING, trials=lambda bench: _from("runs_free", 0.8), limits=lambda bench: {"runs_free": FREE},
+        largest=FREE[1],
     ),
     Departure(
         "no_brake", "bridge that does not brake", "PWM at the enable of an L298, or a single transistor?",
-        lambda bench: 1.0, _COASTING, trials=lambda bench: _from("no_brake", 0.0, 0.8), largest=MOST_FREE,
+        lambda bench: 1.0, _COASTING, trials=lambda bench: _from("no_brake", 0.8),
+        limits=lambda bench: {"no_brake": FREE}, largest=FREE[1],
     ),
 ]  # fmt: skip
 
