@@ -131,10 +131,12 @@ def store_of(port: str, id: int) -> BeforeStore:
     """The file of one servo, by its id and the serial number of its adapter on USB, else where that is plugged in.
 
     The same for every command and config, by whatever name they have the port: a file that nobody finds again is none.
-    Off USB by the name of the device file.
+    Off USB by the name of the device file. Another servo at the same place is not told from it, if of its model and id.
     """
     found = usb_port(port)
     where = found.serial_number or found.location or Path(port).resolve().name
+    if found.serial_number and (channel := (found.location or "").partition(":")[2]):
+        where = f"{where}_{channel}"  # all ports of an FT4232 have one serial number
     return BeforeStore(state_folder() / f"servo-{re.sub(r'[^A-Za-z0-9_.-]', '_', where)}-{id}.json")
 
 

@@ -629,6 +629,15 @@ def test_every_name_of_a_port_leads_to_one_file(tmp_path: Path, monkeypatch: pyt
         assert store_of("/dev/ttyUSB0", 1).path == store_of("/dev/ttyUSB1", 1).path != own
 
 
+def test_each_port_of_an_adapter_has_a_file_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is put back is of the servo at that port: another one of its model and id may be at the next."""
+    port = usb_port("/dev/ttyUSB7")._replace(serial_number="FT4")
+    monkeypatch.setattr(
+        "rig.backends.servo.before.usb_port", lambda device: port._replace(location=f"1-1:1.{device[-1]}")
+    )
+    assert store_of("/dev/ttyUSB0", 1).path != store_of("/dev/ttyUSB1", 1).path
+
+
 @pytest.mark.parametrize("error", [False, True])
 def test_a_feetech_that_did_not_hear_of_its_reboot_is_not_told_to_have_done_it(error: bool) -> None:
     """It gives no answer to that: it answers the next question at once."""
