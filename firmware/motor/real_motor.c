@@ -18,7 +18,7 @@ static const double EVENT_S = sizeof(double) < 8u ? 1e-7 : 1e-14;
 static const double STRETCH = sizeof(double) < 8u ? 4.0 : 1.0;
 static const double HUGE_POWER = sizeof(double) < 8u ? 80.0 : 700.0;
 /* Largest steps, so that a relay test of 20 s stays within 1e-6 rad of its exact motion. */
-static const double CURVED_STEP = 0.05;     /* of tau, s/s; drag, and the Stribeck effect, which grows without end beyond standstill */
+static const double CURVED_STEP = 0.05;     /* of tau, s/s; a drag, a bridge, a Stribeck effect, which grows beyond standstill */
 static const double STEP_OF_TAU = sizeof(double) < 8u ? 0.05 : 0.1; /* s/s; any other part that changes the right side */
 static const double SHORT_LAG_S = 1e-3;     /* of a shorter lag the derivative would suffer before the motion does */
 static const double STEP_OF_LAG = 0.065;    /* s/s, at 1 V s of fading drive times its time constant; longer the less there is */
@@ -152,7 +152,7 @@ static double transmitted(const motor *m, double w, double v, wave here)
 
 static double turning(const motor *m, const real_state *at, wave here)
 {
-    return m->load_friction != 0.0 ? transmitted(m, at->w, at->v, here) : at->w - back_emf(m, at->v);
+    return m->no_brake != 0.0 ? at->w - back_emf(m, at->v) : transmitted(m, at->w, at->v, here);
 }
 
 static double level(const motor *m, double speed, wave here, double t_s)
@@ -401,7 +401,7 @@ static double longest_step(const motor *m, double sign, const real_state *at, do
         const double rate = pull + m->K_rad_s_V * fabs(m->stribeck_V) / tau + 1e-9;
         longest = least(longest, STEP_OF_STRIBECK * fade * unit / rate);
     }
-    if (m->falls || m->drag_V_s2_rad2 != 0.0) {
+    if (m->falls || m->drag_V_s2_rad2 != 0.0 || m->runs_free != 0.0 || m->no_brake != 0.0) {
         longest = least(longest, CURVED_STEP * tau);
     } else if (m->turns || m->transmits || spring > 0.0 || m->viscous_by_direction_V_s_rad != 0.0) {
         longest = least(longest, STEP_OF_TAU * tau);
