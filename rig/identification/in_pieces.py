@@ -28,6 +28,7 @@ from rig.identification.departures.fit import (
     solve,
 )
 from rig.identification.departures.fit import start as begin
+from rig.identification.departures.laws import MOST_FREE
 from rig.identification.departures.pieces import Cut, parabolas
 from rig.identification.estimate import PARAMETERS, Estimate, intervals
 from rig.identification.noise import WHITE
@@ -122,10 +123,11 @@ def best_of_starts(
     return min(side_by_side(solve, ranked[:2], rows), key=lambda fit: fit.cost)
 
 
-def plain_residual_rad(tests: Sequence[TimeSeries], plain: Estimate, *, brakes: bool = True) -> float:
+def plain_residual_rad(tests: Sequence[TimeSeries], plain: Estimate, bridge: Mapping[str, float] = NOTHING) -> float:
     """RMS residual of the plain motor, begun at ``plain``, on pieces of half a second, rad.
 
-    brakes   False: behind a bridge that does not brake
+    bridge   sizes of laws of a bridge that it stands behind, to begin with: where it does not brake, the plain tau is
+             next to nothing at times
 
     Raises IdentifyError if a test is too short.
     """
@@ -135,8 +137,10 @@ def plain_residual_rad(tests: Sequence[TimeSeries], plain: Estimate, *, brakes: 
     cut = Cut.whole(thin, delay_s[1]).every(PIECE_S)
     free = tuple(name for name in (*CORE, DELAY) if name != "bias_V" or not one_way(thin))
     motor = RealMotor(plain.tau_s, plain.K_rad_s_V, max(plain.fc_V, 0.0), plain.asym_V, max(plain.delay_s, 0.0))
-    motor = motor if brakes else motor._replace(no_brake=1.0)
-    problem = Problem(cut, free, limits_of(free, cut, delay_s), 1e-3 * cut.frames[0].half_travel_rad)
+    limits = limits_of(free, cut, delay_s) | dict.fromkeys(bridge, (0.0, MOST_FREE))
+    problem = Problem(cut, (*free, *bridge), limits, 1e-3 * cut.frames[0].half_travel_rad)
+    if bridge:
+        motor = motor._replace(tau_s=max(plain.tau_s, 4.0 * thin[0].period_s), **bridge)
     return solve(begin(problem, motor), PIECE_ITERATIONS, ROUGHLY).rms_rad
 
 

@@ -13,13 +13,14 @@ leaves more than noise, and most of that goes.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.identification.departures.departure import NOTHING
 from rig.identification.estimate import Estimate
 from rig.identification.in_pieces import plain_residual_rad
 from rig.identification.lowest import lowest
@@ -45,6 +46,7 @@ EVENLY, OFTEN = 0.01, 0.2  # how steps of a ramp differ; share of the steps of a
 COVERAGE, MOST_LEFT = 2.0, 0.99  # of what such a low pass leaves, over what is left without it
 ROWS, MOST_ROWS = (4.0, 8.0, 16.0), 24.0  # of means that are tried first; of the longest one
 WAY_ROWS = range(1, 13)
+NO_BRAKES, COAST_S = ({"runs_free": 1.0}, {"no_brake": 1.0}), 0.1  # they are looked at beyond a share of the way in it
 
 
 class Smoothing(NamedTuple):
@@ -117,12 +119,7 @@ class Smoothing(NamedTuple):
 
 
 def smoothings(tests: Sequence[TimeSeries], plain: Estimate) -> list[Smoothing | None]:
-    """How a column of each test was smoothed: of all alike, else of each by itself, where that is told.
-
-    None was behind a bridge that does not brake: where its drive ends, a motor goes on as a smoothed column does.
-    """
-    if plain.is_motor and plain_residual_rad(tests, plain, brakes=False) < CUTS * plain_residual_rad(tests, plain):
-        return [None] * len(tests)
+    """How a column of each test was smoothed: of all alike, else of each by itself, where that is told."""
     of_all = smoothing(tests, plain)
     if len(tests) > 1 and (of_all is None or of_all.left == 1.0):
         each = [smoothing([test], plain) for test in tests]
@@ -133,27 +130,44 @@ def smoothings(tests: Sequence[TimeSeries], plain: Estimate) -> list[Smoothing |
 
 
 def smoothing(tests: Sequence[TimeSeries], plain: Estimate) -> Smoothing | None:
-    """How a column of the tests was smoothed; None where that does not show."""
+    """How a column of the tests was smoothed; None where that does not show.
+
+    Where its drive ends, a motor behind a bridge that does not brake goes on as a smoothed column does. So it is looked
+    for behind other bridges, too, where one that brakes leaves some of the motion.
+    """
     noise_rad = noise_of_all_rad(tests)
     if not plain.is_motor or plain.rms_rad < LEAVES * noise_rad or any(test.t_u_s is not None for test in tests):
         return None
+    rad, found = _behind(NOTHING, tests, plain, noise_rad)
+    ways_rad = [float(np.std(np.diff(test.y_rad))) * COAST_S / test.period_s for test in tests]
+    for bridge in NO_BRAKES if rad > EXPLAINS * max(ways_rad) else ():
+        if rad > NOISY * noise_rad:
+            other_rad, other = _behind(bridge, tests, plain, noise_rad)
+            rad, found = (other_rad, other) if other_rad < CUTS * rad else (rad, found)
+    return found
+
+
+def _behind(
+    bridge: Mapping[str, float], tests: Sequence[TimeSeries], plain: Estimate, noise_rad: float
+) -> tuple[float, Smoothing | None]:
+    """What the plain motor behind a bridge leaves, rad, and how a column was smoothed, as ``smoothing``."""
     period_s = max(test.period_s for test in tests)
 
     def left(one: Smoothing) -> float:
-        return plain_residual_rad([one.undone(test) for test in tests], plain)
+        return plain_residual_rad([one.undone(test) for test in tests], plain, bridge)
 
     def beyond(rad: float) -> float:
         return max(rad**2 - noise_rad**2, 0.0)
 
     # several rows as one leave what their mean drive is off, which a low pass of the drive would take: no more counts
     # than the plain motor leaves row by row
-    without = min(plain_residual_rad(tests, plain), plain.rms_rad)
+    without = min(plain_residual_rad(tests, plain, bridge), plain.rms_rad)
     if without < SHOWS * noise_rad:
-        return None  # over pieces the plain motor leaves no more than noise
+        return without, None  # over pieces the plain motor leaves no more than noise
     tried = {one: left(one) for one in _first(tests, period_s)}
     best = min(tried, key=lambda one: tried[one])
     if beyond(tried[best]) > PROMISING**2 * beyond(without):
-        return None
+        return without, None
     found = {best: tried[best]}
 
     def refine(first: Smoothing, wide: float, longest_s: float) -> None:
@@ -181,7 +195,9 @@ def smoothing(tests: Sequence[TimeSeries], plain: Estimate) -> Smoothing | None:
     # a low pass of a drive, which has no noise, is undone to the last bit; behind a velocity's noise nothing is known
     is_other = best.order > 0 and best.column == "drive" and found[best] > NOISY * noise_rad
     share = COVERAGE * math.sqrt(beyond(found[best]) / beyond(without)) if shows and is_other else 0.0
-    return best._replace(left=min(share, MOST_LEFT) if is_told else 1.0) if shows else None
+    if not shows:
+        return without, None
+    return found[best], best._replace(left=min(share, MOST_LEFT) if is_told else 1.0)
 
 
 def _apart(period_s: float) -> float:
