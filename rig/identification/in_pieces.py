@@ -28,7 +28,7 @@ from rig.identification.departures.fit import (
     solve,
 )
 from rig.identification.departures.fit import start as begin
-from rig.identification.departures.laws import MOST_FREE
+from rig.identification.departures.laws import FREE
 from rig.identification.departures.pieces import Cut, parabolas
 from rig.identification.estimate import PARAMETERS, Estimate, intervals
 from rig.identification.noise import WHITE
@@ -137,7 +137,7 @@ def plain_residual_rad(tests: Sequence[TimeSeries], plain: Estimate, bridge: Map
     cut = Cut.whole(thin, delay_s[1]).every(PIECE_S)
     free = tuple(name for name in (*CORE, DELAY) if name != "bias_V" or not one_way(thin))
     motor = RealMotor(plain.tau_s, plain.K_rad_s_V, max(plain.fc_V, 0.0), plain.asym_V, max(plain.delay_s, 0.0))
-    limits = limits_of(free, cut, delay_s) | dict.fromkeys(bridge, (0.0, MOST_FREE))
+    limits = limits_of(free, cut, delay_s) | dict.fromkeys(bridge, FREE)
     problem = Problem(cut, (*free, *bridge), limits, 1e-3 * cut.frames[0].half_travel_rad)
     if bridge:
         motor = motor._replace(tau_s=max(plain.tau_s, 4.0 * thin[0].period_s), **bridge)

@@ -143,7 +143,8 @@ def smoothing(tests: Sequence[TimeSeries], plain: Estimate) -> Smoothing | None:
     for bridge in NO_BRAKES if rad > EXPLAINS * max(ways_rad) else ():
         if rad > NOISY * noise_rad:
             other_rad, other = _behind(bridge, tests, plain, noise_rad)
-            rad, found = (other_rad, other) if other_rad < CUTS * rad else (rad, found)
+            is_told = other is None or other.left < 1.0
+            rad, found = (other_rad, other) if is_told and other_rad < CUTS * rad else (rad, found)
     return found
 
 
