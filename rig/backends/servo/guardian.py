@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Final, Protocol
 
 from rig.core.faults import Fault
+
+NO_WATCHDOG_S: Final = 0.1  # for which full drive must stay inside the hard limits where nothing else stops a servo
 
 
 class Guardian(Protocol):
