@@ -21,7 +21,7 @@ from rig.backends.registers.driver import UNHURRIED_S, RegisterDriver
 from rig.backends.registers.map import Register, RegisterSpan
 from rig.backends.servo.before import BeforeStore, put_back
 from rig.backends.servo.bus import Ask, ServoLink, bus_of
-from rig.backends.servo.guardian import NO_WATCHDOG_S, Guardian, beat, stopped_by_keeper
+from rig.backends.servo.guardian import Guardian, beat, stopped_by_keeper
 from rig.backends.servo.opening import (
     ServoSetup,
     error_words,
@@ -242,8 +242,6 @@ class ServoDriver(RegisterDriver[Ask]):
         self._tick = self._tick_s = math.nan
         self._strange = self._bad = self._doubted = 0
         super().arm(limits)
-        if self.failsafe is None and not self._setup.supply_switch:  # a joint could meet its stop meanwhile
-            self._acts_s = min(self._setup.watchdog_s, NO_WATCHDOG_S)  # of the keeper
         self._find_steps()
         self._ways.clear()
         self._steady_s = self._transport.now_s()

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Final, Protocol
+from typing import Protocol
 
 from rig.core.faults import Fault
-
-NO_WATCHDOG_S: Final = 0.1  # for which full drive must stay inside the hard limits where nothing else stops a servo
 
 
 class Guardian(Protocol):

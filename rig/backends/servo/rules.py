@@ -6,12 +6,12 @@ import math
 from collections.abc import Iterator
 from typing import Final
 
-from rig.backends.servo.guardian import NO_WATCHDOG_S
 from rig.backends.servo.link_budget import tick_budget
 from rig.backends.servo.section import EMULATED_PORTS, Servo
 from rig.config.problems import Problem, wrong
 from rig.config.schema import DeviceSetup
 
+_NO_WATCHDOG_S: Final = 0.1  # for which full drive must stay inside the hard limits where nothing else stops a servo
 _HALF_TURN_RAD: Final = math.pi - 0.1  # beyond it a position has two places
 _SLACK: Final = 1e-9
 _UNITS: Final = 127  # of the watchdog's register, at most
@@ -114,7 +114,7 @@ def _travel(d: DeviceSetup, servo: Servo) -> Iterator[Problem]:
         )
     elif servo.attached == "load" and not _is_proven(d, servo):
         yield from full_drive_stays_inside(
-            d, NO_WATCHDOG_S, "and nothing in the servo takes the duty away when the host is silent"
+            d, _NO_WATCHDOG_S, "and nothing in the servo takes the duty away when the host is silent"
         )
 
 

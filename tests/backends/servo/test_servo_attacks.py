@@ -372,21 +372,6 @@ def test_who_goes_on_after_the_keeper_has_acted_says_so(protocol: str, late: boo
     assert bench.driver.safe_stop() and "keeper" in bench.driver.end_words
 
 
-@pytest.mark.parametrize(("by_s", "switch"), [(0.03, ""), (0.09, ""), (0.03, "the red one")])
-def test_without_a_watchdog_an_answer_is_awaited_until_the_keeper_acts_but_not_of_a_joint(
-    by_s: float, switch: str
-) -> None:
-    """A host that stood still for 15 ms ended a run of a free servo. A joint could meet its stop meanwhile."""
-    bench = Bench("feetech", setup={"supply_switch": switch})
-    bench.driver._is_switch_tried = True
-    bench.armed()
-    bench.tick(1.0)
-    bench.bus.bus.reply_fault = ReplyFault("late", by_s=by_s)
-    ends = switch or by_s > bench.setup.watchdog_s
-    with pytest.raises(Fault, match="LINK_TIMEOUT") if ends else nullcontext():
-        bench.driver.write(1.0)
-
-
 def test_a_servo_that_does_not_answer_is_no_silence_of_rig(monkeypatch: pytest.MonkeyPatch) -> None:
     """The keeper would act while rig waits, and rig would end with that, not with the cable that is out."""
     bench = Bench()
