@@ -7,7 +7,7 @@ turns the choice into an estimate with its intervals, names laws that look alike
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -208,8 +208,7 @@ class MotorLaw:
             return f"{share}, by all records in pieces: the answer is from these" if is_off else None
         if not is_off and not (self.explains and estimate.verdict != "ok"):
             return None
-        *others, last = (one.law.title for one in self.found)
-        laws, them = (f"{', '.join(others)} and {last}", "them") if others else (last, "it")
+        laws, them = _listed(one.law.title for one in self.found), "them" if len(self.found) > 1 else "it"
         cause = f"{share}, for the motor has {laws}" if is_off else f"the motor has {laws}"
         if self.estimate.verdict == "refused":
             return f"{cause}; the estimate with {them} is refused, too"
@@ -225,15 +224,14 @@ class MotorLaw:
         largest = max(own, key=lambda entry: float(getattr(entry, name)))
         known = known_to(name, shares[name])
         laws = [law for key, law in BY_NAME.items() if key in largest.laws]
-        cures = ", and ".join(dict.fromkeys(law.told_by for law in laws))
+        cures = _listed(dict.fromkeys(law.told_by for law in laws))
         if unshown := [NOT_SHOWN[entry.source] for entry in self.budget.entries if entry.source in NOT_SHOWN]:
             yield f"{known}: {'; '.join(unshown)}"
         elif largest.source.startswith(OTHER):
             what = " or ".join(law.title for law in laws)
             yield f"{known}: most of it is that these tests do not tell {what}; record {cures}"
         elif laws:
-            what = " and ".join(law.title for law in laws)
-            yield f"{known}: most of it is {self._unknown(largest.laws, what)}; record {cures}"
+            yield f"{known}: most of it is {self._unknown(largest.laws)}; record {cures}"
         elif name == "tau_s" and sizes[name] > LONG_TAU_S:
             yield f"{known}, and may have no end: record longer strokes; or {IS_CURRENT}"
         else:
@@ -246,16 +244,16 @@ class MotorLaw:
         probability, hidden = likely[name]
         if probability <= RISK:
             return
-        laws = [law for key, law in BY_NAME.items() if key in hidden]
+        cures = _listed(dict.fromkeys(law.told_by for key, law in BY_NAME.items() if key in hidden))
         risk, allowed = beside(100.0 * probability, 100.0 * RISK), f"{100.0 * RISK:.2g}"
         yield (
             f"{TITLES[name]} is more than {100.0 * PROMISE:.2g} % off with a probability of {risk} %; "
-            f"ok bears {allowed} %: most of it is {self._unknown(hidden, ' and '.join(law.title for law in laws))}; "
-            f"record {', and '.join(dict.fromkeys(law.told_by for law in laws))}"
+            f"ok bears {allowed} %: most of it is {self._unknown(hidden)}; record {cures}"
         )
 
-    def _unknown(self, names: Sequence[str], what: str) -> str:
-        """What these tests do not say of laws, ``what`` in words."""
+    def _unknown(self, names: Sequence[str]) -> str:
+        """What these tests do not say of laws."""
+        what = _listed(law.title for key, law in BY_NAME.items() if key in names)
         if {one.law.name for one in self.found}.issuperset(names):
             return f"the size of {what}, which these tests do not tell"
         return f"{what}, which these tests do not exclude"
@@ -367,6 +365,12 @@ class Beginning:
             known=None if level_V is None else Known.of_sum(AT_REST_V, *level_V),
         )
         return cls(whole, motor, cycle_s, travel_rad, chooser)
+
+
+def _listed(words: Iterable[str]) -> str:
+    """In one sentence, such as ``a, b and c``."""
+    *others, last = words
+    return f"{', '.join(others)} and {last}" if others else last
 
 
 def _swings_s(test: TimeSeries) -> float | None:

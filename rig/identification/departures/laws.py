@@ -149,7 +149,7 @@ DEPARTURES: list[Departure] = [
     ),
     Departure(
         "stribeck", "Stribeck effect", "a bearing or a gear that runs dry?", _half_friction_V,
-        "slow motion: a small relay test, or slow ramps",
+        "slow motion (a small relay test, or slow ramps)",
         trials=lambda bench: [{"stribeck_rad_s": share * bench.top_rad_s} for share in (0.03, 0.1, 0.3)],
         limits=lambda bench: {"stribeck_rad_s": (0.003 * bench.top_rad_s, bench.top_rad_s)},
     ),
@@ -158,7 +158,7 @@ DEPARTURES: list[Departure] = [
         lambda bench: 0.1 / (bench.K_rad_s_V * bench.top_rad_s),  # a tenth of the viscous friction, at top speed
     ),
     Departure(
-        "bristle", "bristles: friction that yields before it slides", "a seal, a belt, or grease?",
+        "bristle", "friction that yields before it slides", "a seal, a belt, or grease?",
         lambda bench: 100.0, "a small relay test with a fine sensor",
         trials=lambda bench: _from("bristle", *_bristles(bench, 0.03, 0.006)),
         # stiffer ones cannot be told from Coulomb friction
