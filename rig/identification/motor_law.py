@@ -369,8 +369,7 @@ class Beginning:
 
 def _listed(words: Iterable[str]) -> str:
     """In one sentence, such as ``a, b and c``."""
-    *others, last = words
-    return f"{', '.join(others)} and {last}" if others else last
+    return " and ".join(", ".join(words).rsplit(", ", 1))
 
 
 def _swings_s(test: TimeSeries) -> float | None:
