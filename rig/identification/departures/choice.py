@@ -59,7 +59,10 @@ WITHIN_STEP, NEARLY_ALL = 0.65, 0.99
 OF_STEP = 0.5  # mean way from row to row, of a step of the sensor: below it rows lie within the steps
 STEPS_SHOW = 2.0  # coloured noise over white noise in a residual that is a coarse sensor's steps
 LAW_BLOCK = (0.5, 6.0)  # length of blocks in which a law must show, s, and in time constants: the longer of both
-FINE = 1e-3  # error in blocks of a plain motor that needs no law
+FINE = (
+    1e-3  # error in blocks of a plain motor that needs no law, if laws move tau, K and friction by no more than this:
+)
+MOVES, SMALL = 0.025, 0.03  # share of each; friction counts as no smaller than so much of the largest drive
 NOTHING_OF_RANGE = 0.01  # size of a law over its range, below which it is rounding
 LOST = 30.0  # residual over noise from which on rows are not compared with noise, but with what a fit leaves of most
 BENT = 2.0  # growth of the residual in a fit with its noise beyond which it is no noise
@@ -321,7 +324,9 @@ class Chooser:
                 none = without(none, law)
             stays = float(blocks.squares(blocks.stays_rad()).sum())
             if math.sqrt(float(left((), none).sum()) / max(stays, 1e-300)) < FINE:
-                return self._last(refitted(fit, self.problem(fit.problem.cut, (), math.inf), none), ())
+                plain = self._last(refitted(fit, self.problem(fit.problem.cut, (), math.inf), none), ())
+                if self._moves(fit, plain[0]) <= MOVES:
+                    return plain
         first = fit, laws
         while laws and self._asks_blocks(fit):
             full = left(laws, fit.motor)
@@ -338,6 +343,12 @@ class Chooser:
             return first
         together = share_cut(left(first[1], first[0].motor), left(laws, fit.motor), chance)
         return first if together >= self.asked.cuts else (fit, laws)
+
+    def _moves(self, fit: Fit, other: Fit) -> float:
+        """Largest share by which tau, K or friction of another fit differ."""
+        here, there = fit.motor, other.motor
+        tau, gain = abs(there.tau_s / here.tau_s - 1.0), abs(there.K_rad_s_V / here.K_rad_s_V - 1.0)
+        return max(tau, gain, abs(there.fc_V - here.fc_V) / max(here.fc_V, SMALL * self.bench.largest_V))
 
     def _asks_blocks(self, fit: Fit) -> bool:
         return self.within_steps or not fit.problem.noise.white
