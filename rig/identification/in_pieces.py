@@ -123,8 +123,13 @@ def best_of_starts(
     return min(side_by_side(solve, ranked[:2], rows), key=lambda fit: fit.cost)
 
 
-def plain_residual_rad(tests: Sequence[TimeSeries], plain: Estimate, bridge: Mapping[str, float] = NOTHING) -> float:
-    """RMS residual of the plain motor, begun at ``plain``, on pieces of half a second, rad.
+def plain_residual_rad(tests: Sequence[TimeSeries], plain: Estimate) -> float:
+    """RMS residual of the plain motor, begun at ``plain``, on pieces of half a second, rad; as ``plain_in_pieces``."""
+    return plain_in_pieces(tests, plain).rms_rad
+
+
+def plain_in_pieces(tests: Sequence[TimeSeries], plain: Estimate, bridge: Mapping[str, float] = NOTHING) -> Fit:
+    """The plain motor, begun at ``plain``, on pieces of half a second.
 
     bridge   sizes of laws of a bridge that it stands behind, to begin with: where it does not brake, the plain tau is
              next to nothing at times
@@ -141,7 +146,7 @@ def plain_residual_rad(tests: Sequence[TimeSeries], plain: Estimate, bridge: Map
     problem = Problem(cut, (*free, *bridge), limits, 1e-3 * cut.frames[0].half_travel_rad)
     if bridge:
         motor = motor._replace(tau_s=max(plain.tau_s, 4.0 * thin[0].period_s), **bridge)
-    return solve(begin(problem, motor), PIECE_ITERATIONS, ROUGHLY).rms_rad
+    return solve(begin(problem, motor), PIECE_ITERATIONS, ROUGHLY)
 
 
 def balanced(cut: Cut, length_s: float, free: Sequence[str], delay_s: float) -> RealMotor:

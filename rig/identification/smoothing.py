@@ -21,10 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identification.departures.departure import NOTHING
+from rig.identification.departures.fit import Fit
 from rig.identification.estimate import Estimate
-from rig.identification.in_pieces import plain_residual_rad
+from rig.identification.in_pieces import plain_in_pieces
 from rig.identification.lowest import lowest
 from rig.identification.preprocessing import unfiltered
+from rig.model.compiled.row_filter import filtered
 from rig.run_folder.recording.series import TimeSeries, noise_of_all_rad
 
 Array = NDArray[np.float64]
@@ -86,6 +88,19 @@ class Smoothing(NamedTuple):
             test = test if self.column == "drive" else unfiltered(test, self.size_s)
             test = test if self.column == "reading" else unfiltered(test, self.size_s, of_drive=True)
         return test
+
+    def left_rad(self, fit: Fit) -> float:
+        """RMS residual of the column as it was logged, rad: undone, its noise is many times as large as it was."""
+        if self.column == "drive" or self.order < 1:
+            return fit.rms_rad
+        squares, at = 0.0, 0
+        for window in fit.problem.cut.windows:
+            left, at = fit.residual_rad[at : at + window.t_s.size, None], at + window.t_s.size
+            keep = math.exp(-window.period_s / self.size_s)
+            for _ in range(self.order):
+                left = filtered([1.0 - keep], [-keep], left)
+            squares += float(np.sum(left**2))
+        return math.sqrt(squares / at)
 
     def _without_mean(self, test: TimeSeries) -> TimeSeries:
         rows = self.size_s / test.period_s
@@ -155,14 +170,14 @@ def _behind(
     period_s = max(test.period_s for test in tests)
 
     def left(one: Smoothing) -> float:
-        return plain_residual_rad([one.undone(test) for test in tests], plain, bridge)
+        return one.left_rad(plain_in_pieces([one.undone(test) for test in tests], plain, bridge))
 
     def beyond(rad: float) -> float:
         return max(rad**2 - noise_rad**2, 0.0)
 
     # several rows as one leave what their mean drive is off, which a low pass of the drive would take: no more counts
     # than the plain motor leaves row by row
-    without = min(plain_residual_rad(tests, plain, bridge), plain.rms_rad)
+    without = min(plain_in_pieces(tests, plain, bridge).rms_rad, plain.rms_rad)
     if without < SHOWS * noise_rad:
         return without, None  # over pieces the plain motor leaves no more than noise
     tried = {one: left(one) for one in _first(tests, period_s)}
