@@ -109,7 +109,7 @@ def model_error(fit: Fit, blocks: Cut, predicts: float, laws: int = 0) -> ModelE
     predicts   error of its motor in blocks that it has not seen, 1
     laws       how many it has
     """
-    leaves = fit.rms_rad > LEAVES * fit.problem.sigma_rad and not (is_plain(fit.motor) and predicts < PREDICTED)
+    leaves = fit.rms_rad > LEAVES * fit.noise_rad and not (is_plain(fit.motor) and predicts < PREDICTED)
     if fit.problem.cut.longest_s > 1.01 * blocks.longest_s:
         given = replace(fit.problem, cut=blocks)
         at_these = solve(begin(replace(given, free=()), fit.motor))

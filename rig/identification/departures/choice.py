@@ -161,15 +161,16 @@ class Chooser:
         lengths_s = [*(cycles * cycle_s for cycles in CYCLES), math.inf]
         while lengths_s:
             # what leaves noise alone on short pieces may be right; the whole tests say whether it is
-            leaps = len(growth) == 1 and fit is not None and fit.rms_rad < AT_NOISE * self.sigma_rad
+            leaps = len(growth) == 1 and fit is not None and fit.rms_rad < AT_NOISE * fit.noise_rad
             length_s = math.inf if leaps else lengths_s.pop(0)
             cut = whole if math.isinf(length_s) else whole.every(length_s)
             if fit is not None and len(cut.begins) == len(fit.problem.cut.begins):
                 if leaps:
                     break
                 continue
-            most_rad = math.inf if fit is None else max(GROWN * max(fit.rms_rad, self.sigma_rad), hidden_rad)
             longer = solve(self._begun(cut, laws, motor))
+            grown = 1.0 if fit is None else max(GROWN * longer.noise_rad / fit.noise_rad, GROWN)
+            most_rad = math.inf if fit is None else max(grown * max(fit.rms_rad, fit.noise_rad), hidden_rad)
             if fit is not None and not math.isfinite(longer.cost):
                 break  # on these pieces it takes too many steps
             longer, found = self._at_best_shape(longer, laws), laws
@@ -301,11 +302,11 @@ class Chooser:
         together. A coarse sensor leaves its steps, which are never white.
         """
         tells_all = len(fit.problem.cut.begins) == len(whole.begins)
-        if tells_all and fit.rms_rad <= AT_NOISE * self.sigma_rad and not self.within_steps:
+        if tells_all and fit.rms_rad <= AT_NOISE * fit.noise_rad and not self.within_steps:
             return fit, laws
         blocks = Blocks.of(whole, fit.motor.tau_s, LAW_BLOCK)
         rows = np.array(blocks.cut.lengths)
-        noise = rows * self.sigma_rad**2
+        noise = rows * (self.sigma_rad * blocks.cut.adds_up) ** 2
         chance = noise
         if self.within_steps:  # rows within a step are no further readings
             steps = np.maximum(rows * self.bench.path_per_row_rad / self.step_rad, 1.0)
@@ -386,7 +387,7 @@ class Chooser:
             return fit, laws
         seen: Ends = {}
         end = self._greedy(*first[0], seen)
-        if len(end[1]) == len(laws) + 1 and end[0].scatter_rad < AT_NOISE * self.sigma_rad:
+        if len(end[1]) == len(laws) + 1 and end[0].scatter_rad < AT_NOISE * end[0].noise_rad:
             return end  # it leaves nothing: another start would need two laws for as much
         return self._ranked([end, *(self._greedy(*step, seen) for step in first[1:])])[0]
 

@@ -274,6 +274,12 @@ class Fit:
         return seen
 
     @property
+    def noise_rad(self) -> float:
+        """What the sensor's noise alone would leave: its standard deviation, rad, and more where it adds up."""
+        cut = self.problem.cut
+        return self.problem.sigma_rad * float(np.sqrt(np.average(cut.adds_up**2, weights=cut.lengths)))
+
+    @property
     def rms_rad(self) -> float:
         """RMS residual of the rows that count, rad."""
         return float(np.sqrt(np.mean(self.problem.cut.counting(self.residual_rad) ** 2)))

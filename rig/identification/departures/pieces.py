@@ -227,6 +227,17 @@ class Cut:
         return np.repeat(np.arange(self.begins.size), self.lengths)
 
     @cached_property
+    def adds_up(self) -> Array:
+        """(p,) by how much noise leaves more of each piece than of a row alone, 1: more than 1 where it adds up."""
+        of = np.repeat(np.arange(len(self.windows)), [rows.size for rows in self.rows])
+        series = [window.series for window in self.windows]
+        each = [
+            series[k].noise_over_rad(n) / max(series[k].noise_rad(), 1e-300) if series[k].adds_up else 1.0
+            for k, n in zip(of.tolist(), self.lengths, strict=True)
+        ]
+        return np.array(each)
+
+    @cached_property
     def durations_s(self) -> Array:
         """Length of each piece, s."""
         last = np.append(self.begins[1:], self.t_s.size) - 1

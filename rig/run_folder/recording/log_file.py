@@ -128,10 +128,10 @@ def _recording(source: Path, raw: Columns, rows: Sequence[int], log: LogFormat, 
     raw, rows = log_mends.in_order(raw | {"t_s": _times_s(raw, log, notes)}, rows, notes)
     t_s, u_V = raw["t_s"], raw["u_V"]
     require_rising(source, t_s, rows)
-    steps = None
+    steps, adds_up = None, False
     if "velocity" in choices:
         summed = _summed(source, raw, t_s, choices["velocity"], log, notes)
-        y_rad = summed.y_rad
+        y_rad, adds_up = summed.y_rad, summed.adds_up
         if summed.rows is not None:
             steps = (t_s, u_V)
             rows, t_s, u_V = [rows[k] for k in summed.rows], t_s[summed.rows], u_V[summed.rows]
@@ -147,7 +147,7 @@ def _recording(source: Path, raw: Columns, rows: Sequence[int], log: LogFormat, 
     recording = assembled(source, columns, rows, tuple(columns), notes)
     if "time" in choices:
         _refuse_other_clock(source, t_s, choices["time"])
-    return replace(recording, units_stated=True, drive_steps=steps)
+    return replace(recording, units_stated=True, drive_steps=steps, adds_up=adds_up)
 
 
 def _of_servo(

@@ -6,6 +6,7 @@ Each function takes columns of numbers as they stand in the file. It adds a sent
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from typing import Final, NamedTuple
@@ -225,10 +226,14 @@ def _nearest(v: Floats, first: Floats, rows: Floats, law: Floats, size: float) -
 
 
 class Summed(NamedTuple):
-    """Positions from velocities, rad, from 0 on, and the rows at which they are known: None, all of them."""
+    """Positions from velocities, rad, from 0 on, and the rows at which they are known: None, all of them.
+
+    adds_up   whether noise of the velocities adds up in them, as of samples; the steps of a counter do not
+    """
 
     y_rad: Floats
     rows: Integers | None = None
+    adds_up: bool = False
 
 
 def summed_up(v_rad_per_s: Floats, t_s: Floats, notes: list[str]) -> Summed:
@@ -240,7 +245,7 @@ def summed_up(v_rad_per_s: Floats, t_s: Floats, notes: list[str]) -> Summed:
     """
     kept = held_rows(v_rad_per_s)
     if kept is None:
-        return Summed(_integrated(v_rad_per_s, t_s, notes))
+        return _integrated(v_rad_per_s, t_s, notes)
     notes.append(
         f"the velocity is new in every {int(kept[1] - kept[0])}th row and held in between: each is the mean since it "
         "was new before, and the position is known in these rows"
@@ -262,7 +267,7 @@ def held_rows(v: Floats) -> Integers | None:
     return np.arange(first, v.size, every)
 
 
-def _integrated(v_rad_per_s: Floats, t_s: Floats, notes: list[str]) -> Floats:
+def _integrated(v_rad_per_s: Floats, t_s: Floats, notes: list[str]) -> Summed:
     periods_s = np.diff(t_s, prepend=t_s[0])
     moved = v_rad_per_s * periods_s
     steps = np.abs(moved[moved != 0.0])
@@ -270,13 +275,16 @@ def _integrated(v_rad_per_s: Floats, t_s: Floats, notes: list[str]) -> Floats:
     if steps.size:
         one = float(np.median(steps[steps < 1.5 * steps.min()]))
         few = steps[steps < _FEW_STEPS * one] / one
-        of_counter = few.size >= _FEWEST_MOVES and float(np.mean(np.abs(few - np.round(few)) < 0.1)) > 0.9
+        is_whole = few.size >= _FEWEST_MOVES and float(np.mean(np.abs(few - np.round(few)) < 0.1)) > 0.9
+        # a file rounds a sample to whole steps, too; but its noise is larger than they are
+        noise = float(np.median(np.abs(np.diff(moved, 4)))) / math.sqrt(70.0)
+        of_counter = is_whole and noise <= one
     if of_counter:
         notes.append("the position is the sum of the velocities, from 0: each is the mean since the row before")
-        return np.asarray(np.cumsum(moved))
+        return Summed(np.cumsum(moved))
     notes.append("the position is the integral of the velocities, from 0: each is a sample, as of a tachometer")
     middle = 0.5 * (v_rad_per_s[1:] + v_rad_per_s[:-1])
-    return np.concatenate(([0.0], np.cumsum(middle * periods_s[1:])))
+    return Summed(np.concatenate(([0.0], np.cumsum(middle * periods_s[1:]))), adds_up=True)
 
 
 def has_no_sign(v: Floats, u: Floats) -> bool:

@@ -51,6 +51,7 @@ class Recording:
     first_row    number of the first row in the file; not 0 in a selection of rows
     units_stated whether somebody has said in which units the file is: then a large number is no sign of a wrong one
     drive_steps  the drive as it was, times in s and volts, where there are fewer positions than drives; None: u_V
+    adds_up      whether noise adds up from row to row, as in a sum of sampled velocities
     own_loop     of the servo that gave the drive; None: volts are volts
     slew_V_s     by which the device ramps its drive from one row's to the next, V/s; None: at once
     """
@@ -78,6 +79,7 @@ class Recording:
     first_row: int = 0
     units_stated: bool = False
     drive_steps: tuple[Floats, Floats] | None = None
+    adds_up: bool = False
     own_loop: OwnLoop | None = None
     slew_V_s: float | None = None
 

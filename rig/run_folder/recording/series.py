@@ -19,6 +19,7 @@ FEWEST_ROWS = 20  # of a series that can be fitted
 RECORD_MORE = "record more: three swings to and fro at least, better ten"
 SHORTEST_WINDOW = 60  # samples
 GRID_REACHES = (4.0, 16.0, 64.0)  # steps of the quantisation that are looked at together, one after the other
+WALKS = (5.3, 2.9)  # a step of a sum of sampled velocities over the noise of its fourth differences; of means of rows
 MOST_PARTS = 8  # steps of the quantisation that the smallest step of a record may be
 LATENCY_PERIODS, LATENCY_S = 10.0, 0.2  # longest time from a sample to its row's drive: the longer of both
 
@@ -84,6 +85,7 @@ class TimeSeries:
     even_s     n times from which that delay counts: t_s, each later or earlier by as much as its drive was later or
                earlier than the mean; None: t_s
     edges      the drive as it was, where each row stands for several and u_V is their mean; None: u_V from row to row
+    adds_up    whether noise adds up from row to row, as in a sum of sampled velocities
     Raises IdentifyError on columns of unequal length, fewer than 2 rows, values that are not finite, values beyond
     1e12, a column whose values are all below 1e-12 and not all zero, times that do not increase, and drives that act
     far before or after their samples.
@@ -101,6 +103,7 @@ class TimeSeries:
     even_s: Array | None = None
     units_stated: bool = False
     edges: Steps | None = None
+    adds_up: bool = False
 
     def __post_init__(self) -> None:
         columns = {"t_s": self.t_s, "y_rad": self.y_rad, "u_V": self.u_V}
@@ -301,6 +304,15 @@ class TimeSeries:
         median leaves out jumps of acceleration.
         """
         return self._noise_rad
+
+    def noise_over_rad(self, rows: int) -> float:
+        """RMS of what noise leaves of so many rows, rad, where a motor's start is fitted to them.
+
+        Noise that adds up is a walk at random. Without its mean and its trend a walk of n steps of s has a variance of
+        s^2 n/15, without its mean alone s^2 n/6: a motor's start is between them.
+        """
+        step = WALKS[self.edges is not None] * self.noise_rad() if self.adds_up else 0.0
+        return math.hypot(self.noise_rad(), step * math.sqrt(0.1 * rows))
 
     @cached_property
     def _noise_rad(self) -> float:
