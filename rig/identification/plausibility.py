@@ -217,7 +217,7 @@ def _turns_against_drive(test: TimeSeries) -> bool:
     return work < -5.0 * scatter
 
 
-def _divides_a_turn(step_rad: float) -> bool:
+def divides_a_turn(step_rad: float) -> bool:
     """Whether a turn is a whole number of such steps: those of degrees are not, 0.9 degrees as 0.9 rad included."""
     counts = 2.0 * np.pi / max(step_rad, 1e-9)
     return bool(counts > FEWEST_COUNTS - 0.5 and abs(counts - round(counts)) < WHOLE)
@@ -247,7 +247,7 @@ def _units(test: TimeSeries, fine_rad: float) -> list[Objection]:
         pass  # any number of turns, in steps of any size: ``_information`` asks for enough steps
     elif span > 2.0 and bool(np.all(y == np.round(y))):
         object_to("refused", f"positions are whole numbers over {span:g}: is y_rad in raw counts or degrees? {said}")
-    elif fine_rad < FINE_RAD or _divides_a_turn(step):
+    elif fine_rad < FINE_RAD or divides_a_turn(step):
         pass  # an encoder's radians, fine or of few counts: no sign of degrees, and the column's name says rad
     elif span > LARGEST_SPAN_RAD:
         object_to("refused", f"positions span {span:.3g} rad, {span / 6.283:.1f} turns: is y_rad in degrees? {said}")

@@ -25,6 +25,7 @@ from rig.identification.departures.fit import Fit
 from rig.identification.estimate import Estimate
 from rig.identification.in_pieces import plain_in_pieces
 from rig.identification.lowest import lowest
+from rig.identification.plausibility import divides_a_turn
 from rig.identification.preprocessing import unfiltered
 from rig.model.compiled.row_filter import filtered
 from rig.run_folder.recording.series import TimeSeries, noise_of_all_rad
@@ -84,6 +85,8 @@ class Smoothing(NamedTuple):
             return replace(test.part(0, way.size), u_V=np.abs(test.u_V[: way.size]) * way)
         if self.order == RAMP:
             return replace(test, u_V=_without_ramps(test.u_V))
+        # undone, a reading has no steps, by which its unit would be known
+        test = replace(test, units_stated=test.units_stated or divides_a_turn(test.resolution_rad()))
         for _ in range(self.order):
             test = test if self.column == "drive" else unfiltered(test, self.size_s)
             test = test if self.column == "reading" else unfiltered(test, self.size_s, of_drive=True)

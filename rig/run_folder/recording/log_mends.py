@@ -16,6 +16,7 @@ import numpy as np
 from rig.run_folder.recording.log_format import LARGEST
 from rig.run_folder.recording.recording import Columns, Floats, Integers
 
+_UNEVEN = 0.05  # scatter of the time between rows, over that: by chance no sample is whole steps then
 _FEW_STEPS, _FEWEST_MOVES = 10.5, 10  # of a counter, between two rows, for a velocity to show them
 _OF_BITS: Final = {8: 2.0**8, 16: 2.0**16, 32: 2.0**32}  # numbers that a whole number of so many bits can be
 _COUNTERS: Final = (8, 10, 12, 14, 16, 32)  # bits of a position
@@ -276,9 +277,9 @@ def _integrated(v_rad_per_s: Floats, t_s: Floats, notes: list[str]) -> Summed:
         one = float(np.median(steps[steps < 1.5 * steps.min()]))
         few = steps[steps < _FEW_STEPS * one] / one
         is_whole = few.size >= _FEWEST_MOVES and float(np.mean(np.abs(few - np.round(few)) < 0.1)) > 0.9
-        # a file rounds a sample to whole steps, too; but its noise is larger than they are
+        # of even rows a file rounds a sample to whole steps, too; but its noise is larger than they are
         noise = float(np.median(np.abs(np.diff(moved, 4)))) / math.sqrt(70.0)
-        of_counter = is_whole and noise <= one
+        of_counter = is_whole and (noise <= one or float(np.std(periods_s[1:])) > _UNEVEN * float(np.mean(periods_s)))
     if of_counter:
         notes.append("the position is the sum of the velocities, from 0: each is the mean since the row before")
         return Summed(np.cumsum(moved))
