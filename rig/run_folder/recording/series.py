@@ -12,6 +12,7 @@ import numpy as np
 
 from rig.core.arrays import Array
 from rig.run_folder.recording.errors import IdentifyError
+from rig.run_folder.recording.sample_columns import Reads
 from rig.run_folder.recording.stage import Stage
 
 STAIR_S = 5e-4  # of a drive that is ramped
@@ -83,6 +84,8 @@ class TimeSeries:
     units_stated  whether somebody has said in which units these are: then a large number is no sign of a wrong one
     even_s     n times from which that delay counts: t_s, each later or earlier by as much as its drive was later or
                earlier than the mean; None: t_s
+    reads      what shows the positions
+    most_V     the largest drive that the bench gives, V; inf: not known
     edges      the drive as it was, where each row stands for several and u_V is their mean; None: u_V from row to row
     Raises IdentifyError on columns of unequal length, fewer than 2 rows, values that are not finite, values beyond
     1e12, a column whose values are all below 1e-12 and not all zero, times that do not increase, and drives that act
@@ -101,6 +104,8 @@ class TimeSeries:
     even_s: Array | None = None
     units_stated: bool = False
     edges: Steps | None = None
+    reads: Reads = "angle"
+    most_V: float = math.inf
 
     def __post_init__(self) -> None:
         columns = {"t_s": self.t_s, "y_rad": self.y_rad, "u_V": self.u_V}
