@@ -417,9 +417,15 @@ def _estimate(estimator: Estimator, data: Measurements, earlier: dict[str, Estim
 
 
 def _with_causes(judged: Estimate, read: Sequence[TimeSeries]) -> Estimate:
-    """The judged estimate with what is wrong in columns and units, which comes first: it is the cause."""
+    """The judged estimate with what is wrong in columns and units, which comes first: it is the cause.
+
+    But where the shaft only turned one way, and no better fit mends an estimate, that is another cause.
+    """
     consequences, estimate = judged.reasons, replace(judged, reasons=())
-    for one in [*judge_records(read, estimate), *judge_motor(estimate, read)]:
+    causes = [*judge_records(read, estimate), *judge_motor(estimate, read)]
+    if judged.spoiled and not any(one.spoils for one in causes):
+        estimate, consequences = judged, ()
+    for one in causes:
         estimate = estimate.judged(one.verdict, one.reason, spoiled=one.spoils)
     return estimate.judged("ok", *consequences)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -140,7 +140,8 @@ def measurements(
     data = Measurements()
     beside: list[tuple[TimeSeries, TimeSeries]] = []
     for recording in recordings:
-        data.stated.append(StatedErrors.of(recording.meta))
+        stated = StatedErrors.of(recording.meta)
+        data.stated.append(stated if recording.reads == "angle" else replace(stated, linearity_percent=0.0))
         gone = left_out(recording, without)
         data.guarded += _guarded(recording)
         data.supplies += [reason for reason in _supply(recording) if reason not in data.supplies]

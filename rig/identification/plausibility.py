@@ -171,12 +171,15 @@ def _columns(test: TimeSeries, span_rad: float, motor: Estimate | None) -> list[
             )
         ]
     if _lacks_sign(test):
+        turns = "both ways" if _ways_rad(test)[0] >= _motion(test) else "backwards"
+        cure = "log it with the sign of the direction, or say which column tells it: --direction COLUMN"
+        if turns == "backwards":
+            cure += "; or, if positions fall under a positive drive: --reversed"
         return [
             Objection(
                 "refused",
-                f"{name}: the drive is never negative, and the shaft turns both ways, the faster the larger the drive: "
-                "the drive's sign is missing; log it with the sign of the direction, or say which column tells it: "
-                "--direction COLUMN",
+                f"{name}: the drive is never negative, and the shaft turns {turns}, the faster the larger the drive: "
+                f"the drive's sign is missing; {cure}",
             )
         ]
     if _turns_against_drive(test) and not _explains(test, motor):
@@ -346,11 +349,10 @@ def _holes(test: TimeSeries) -> list[Objection]:
     starts, ends = np.append(0, holes + 1), np.append(holes, len(test) - 1)
     part = int(np.argmax(test.t_s[ends] - test.t_s[starts]))
     first, last = test.first_row + int(starts[part]), test.first_row + int(ends[part])
-    reason = (
-        f"{test.name}: {_in_words(test, holes)}: the drive there is unknown; identify the longest part without a gap "
-        f"(--rows {first}:{last})"
-    )
-    return [Objection("doubtful", reason)]
+    cure = f"identify the longest part without a gap (--rows {first}:{last})"
+    if last - first < FEWEST_ROWS:
+        cure = "no part without one is long enough; log every tick"
+    return [Objection("doubtful", f"{test.name}: {_in_words(test, holes)}: the drive there is unknown; {cure}")]
 
 
 def one_way(tests: Sequence[TimeSeries]) -> bool:
@@ -424,6 +426,8 @@ def _rails(test: TimeSeries) -> list[Objection]:
 
     A reading that stays there at 0 V is a shaft at rest: only rows under a drive count.
     """
+    if test.reads in ("speed", "samples"):
+        return []
     y, step = test.y_rad, test.resolution_rad()
     driven = np.concatenate(([0], np.cumsum(test.u_V != 0.0)))
     if test.noise_rad() <= max(0.5 * step, 1e-6 * float(np.ptp(y))):

@@ -92,8 +92,10 @@ def _as_commanded(recording: Recording, rows: slice, name: str) -> tuple[TimeSer
     if not known.any():
         stated = recording.units_stated
         edges = None if recording.drive_steps is None else steps_of(*recording.drive_steps)
-        series = TimeSeries(t_s, y_rad, None, u_V, first, name, stage=stage, units_stated=stated, edges=edges)
-        return replace(series, adds_up=recording.adds_up), notes
+        return TimeSeries(
+            t_s, y_rad, None, u_V, first, name, stage=stage, units_stated=stated, edges=edges,
+            reads=recording.reads, most_V=recording.most_V,
+        ), notes  # fmt: skip
     start = int(np.flatnonzero(known)[0])
     missing = int((~known[start:]).sum())
     if missing > 0.2 * t_s.size:

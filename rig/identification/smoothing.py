@@ -46,6 +46,7 @@ MEAN, WAY, RAMP = 0, -1, -2  # orders that are no low pass
 OF_STEP, SMALL = 0.5, 0.05  # way from row to row, of a step of the sensor; a drive, of the largest one
 AT_ONCE = 0.2  # of a drive's way, in steps between rows that are alike: a smoothed drive has none
 EVENLY, OFTEN = 0.01, 0.2  # how steps of a ramp differ; share of the steps of a drive that are those of its ramp
+OVER, RARE = 1.1, 0.01  # drives over the largest that the bench gives; share of them that rounding alone explains
 COVERAGE, MOST_LEFT = 2.0, 0.99  # of what such a low pass leaves, over what is left without it
 ROWS, MOST_ROWS = (4.0, 8.0, 16.0), 24.0  # of means that are tried first; of the longest one
 WAY_ROWS = range(1, 13)
@@ -173,7 +174,10 @@ def _behind(
     period_s = max(test.period_s for test in tests)
 
     def left(one: Smoothing) -> float:
-        return one.left_rad(plain_in_pieces([one.undone(test) for test in tests], plain, bridge))
+        undone = [one.undone(test) for test in tests]
+        if any(float(np.mean(np.abs(test.u_V) > OVER * test.most_V)) > RARE for test in undone):
+            return math.inf  # no bridge gave that
+        return one.left_rad(plain_in_pieces(undone, plain, bridge))
 
     def beyond(rad: float) -> float:
         return max(rad**2 - noise_rad**2, 0.0)
@@ -184,8 +188,8 @@ def _behind(
     if without < SHOWS * noise_rad:
         return without, None  # over pieces the plain motor leaves no more than noise
     tried = {one: left(one) for one in _first(tests, period_s)}
-    best = min(tried, key=lambda one: tried[one])
-    if beyond(tried[best]) > PROMISING**2 * beyond(without):
+    best = min(tried, key=lambda one: tried[one], default=None)
+    if best is None or beyond(tried[best]) > PROMISING**2 * beyond(without):
         return without, None
     found = {best: tried[best]}
 
@@ -232,6 +236,8 @@ def _first(tests: Sequence[TimeSeries], period_s: float) -> Iterator[Smoothing]:
     in_rows = all(test.edges is None for test in tests) and not all(map(_is_within_steps, tests))
     may_be_smooth = in_rows and not any(map(_steps_at_once, tests))
     columns: tuple[Column, ...] = ("reading", "drive", "row") if may_be_smooth else ("reading",)
+    if any(test.reads == "counter" for test in tests):  # a count is no mean
+        columns = columns[1:2]
     for column in columns:
         yield from (Smoothing(column, LONGEST_S / _apart(period_s) ** k, 1) for k in range(TRIED))
         yield from (

@@ -299,12 +299,16 @@ def test_ok_bears_one_percent_of_an_improbable_law_that_would_break_its_promise(
         assert "dead band of the drive, which these tests do not exclude; record " in reason
 
 
-def test_laws_that_are_not_told_apart_are_said_though_one_is_a_level_of_each_recording() -> None:
+@pytest.mark.parametrize(
+    ("law_of_each", "told_by"),
+    [("level_each", "all of it in one recording"), ("drift_each", "one long recording after the bench has warmed up")],
+)
+def test_laws_that_are_not_told_apart_are_said_though_one_is_of_each_recording(law_of_each: str, told_by: str) -> None:
     """It was an exception, and no answer."""
     law = two_amplitudes().motor_law
     assert law is not None
-    notes = replace(law, not_told_apart=(("level_each", "dead_band"),)).notes()
-    assert notes[-1] == "law: level_each and dead_band are not told apart; record all of it in one recording"
+    notes = replace(law, not_told_apart=((law_of_each, "dead_band"),)).notes()
+    assert notes[-1] == f"law: {law_of_each} and dead_band are not told apart; record {told_by}"
 
 
 def test_one_amplitude_is_doubtful_and_the_reason_says_what_would_tell() -> None:

@@ -80,6 +80,26 @@ def test_a_reading_that_stays_while_there_is_no_drive_is_a_shaft_at_rest() -> No
     assert judge_records([replace(moved, u_V=np.where(at_end, 0.0, moved.u_V))]) == []
 
 
+def test_a_speed_that_is_cut_off_at_0_is_a_shaft_that_has_not_broken_away() -> None:
+    """A published log of a speed loop begins at rest, under a drive that grows: it was refused."""
+    (objection,) = judge_records([cut := to_and_fro(0.7 * STEP_RAD, 100 * STEP_RAD)])
+    assert "stays at exactly" in objection.reason
+    assert judge_records([replace(cut, reads="speed")]) == []
+
+
+def test_parts_between_gaps_that_are_too_short_to_fit_are_not_recommended() -> None:
+    whole = _test_of_run("relay-1", 1.0)
+    kept = np.flatnonzero(np.arange(601) % 40 < 18)
+    gap, *_ = judge_records([TimeSeries(whole.t_s[kept], whole.y_rad[kept], None, whole.u_V[kept])])
+    assert gap.reason.endswith("no part without one is long enough; log every tick")
+
+
+def test_a_shaft_that_only_turns_backwards_under_a_drive_without_a_sign_may_be_reversed() -> None:
+    turns = TimeSeries(t_s := np.linspace(0.0, 3.0, 601), -2.0 * t_s**2, None, 4.0 * t_s)
+    (objection,) = judge_records([turns])
+    assert "the shaft turns backwards" in objection.reason and objection.reason.endswith("--reversed")
+
+
 def test_a_position_against_its_name_is_asked_about_with_what_to_type_if_the_name_is_right() -> None:
     moved = to_and_fro(0.0)
     turns = replace(moved, y_rad=110.0 * moved.y_rad, name="steps.csv")

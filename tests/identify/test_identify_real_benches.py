@@ -216,6 +216,18 @@ def test_a_column_that_was_smoothed_or_came_late_is_named_and_undone(how: str, s
     assert found.answer is not None and right(found.answer, MOTOR, 0.025, "tau_s", "K_rad_s_V", "fc_V")
 
 
+def test_no_count_is_a_mean_and_no_drive_was_more_than_the_bench_gives() -> None:
+    """Published counts of a motor that coasts were like a mean of 11 rows; a drive of 12 V was 36 V before a filter."""
+    t_s, u_V, y_rad = recorded(MOTOR, (3.0, 5.0, 7.0), rows=800)
+    mean_rad = np.convolve(np.pad(y_rad, (4, 3), mode="edge"), np.full(8, 0.125), "valid")
+    slow_V, keep = u_V.copy(), math.exp(-PERIOD_S / 0.015)
+    for k in range(1, u_V.size):
+        slow_V[k] = u_V[k] + keep * (slow_V[k - 1] - u_V[k])
+    for columns, bench in (((t_s, u_V, mean_rad), {"reads": "counter"}), ((t_s, slow_V, y_rad), {"most_V": 5.0})):
+        found = identify([replace(from_columns(Path("log.csv"), *columns), **bench)])
+        assert not any("undone" in change for change in found.changes), found.changes
+
+
 def test_of_two_files_the_one_that_was_smoothed_is_undone() -> None:
     """Together they show no smoothing, and tau was 48 % off beside 14 %; so it was where both have one name."""
     sharp, (t_s, u_V, y_rad) = recorded(MOTOR, (3.0, 5.0, 7.0), rows=800), recorded(MOTOR, (3.0, 5.0, 7.0), seed=2)

@@ -102,6 +102,16 @@ def test_a_column_that_says_which_way_gives_the_drive_its_sign(tmp_path: Path) -
         parse(tmp_path, f"t,u,y,way\n{rows}", replace(log, direction="y"))
 
 
+def test_a_log_of_one_way_has_one_direction_and_what_it_says_at_no_drive_says_nothing(tmp_path: Path) -> None:
+    """Files of one way each were refused, and N at rest was the positive way."""
+    log = LogFormat(LogColumn("ms"), LogColumn("V"), LogColumn("rad"), direction="way")
+    for word, way in (("R", -1.0), ("ccw", -1.0), ("-1", -1.0), ("F", 1.0), ("cw", 1.0), ("1", 1.0)):
+        rows = f"t,u,y,way\n0,0,0,N\n10,9,0,{word}\n20,8,1,{word}\n30,0,2,N\n"
+        assert parse(tmp_path, rows, log).u_V.tolist() == [0.0, way * 9.0, way * 8.0, 0.0]
+    with pytest.raises(RecordingError, match="column 'way' says 1 things, such as '0'"):
+        parse(tmp_path, "t,u,y,way\n0,9,0,0\n10,9,0,0\n20,8,1,0\n", log)
+
+
 def test_a_drive_with_a_sign_of_its_own_agrees_with_the_column_of_directions_or_is_refused(tmp_path: Path) -> None:
     """Its sign was dropped: under a column that came late K was 20 % off beside 17 %."""
     log = LogFormat(LogColumn("ms"), LogColumn("V"), LogColumn("rad"), direction="way")
@@ -140,6 +150,19 @@ def test_a_velocity_from_a_counter_gives_back_its_counts(tmp_path: Path) -> None
     recording = parse(tmp_path, "".join(f"{t},1,{v:.1f}\n" for t, v in zip(t_ms, rpm, strict=True)), log)
     assert recording.y_rad == pytest.approx((counts - counts[0]) * TURN / 1440, abs=0.1 * TURN / 1440)
     assert any("the mean since the row before" in note for note in recording.notes)
+
+
+def test_a_velocity_that_is_rounded_nearly_as_coarsely_as_its_counter_steps_gives_back_its_counts(
+    tmp_path: Path,
+) -> None:
+    """As published: steps of 0.128 rpm to one decimal. It was a tachometer's, and each row the mean of two."""
+    t_s = 0.1 * np.arange(400)
+    rpm = 26.0 + 24.0 * np.sin(t_s) + np.random.default_rng(3).normal(size=t_s.size)
+    counts = np.floor(np.cumsum(rpm) * 0.1 * 4704 / 60)
+    log = LogFormat(LogColumn("s"), LogColumn("V"), velocity=LogColumn("rpm"))
+    said = np.diff(counts, prepend=0.0) * 60 / 0.1 / 4704
+    recording = parse(tmp_path, "".join(f"{t:.1f},1,{v:.1f}\n" for t, v in zip(t_s, said, strict=True)), log)
+    assert recording.y_rad - recording.y_rad[0] == pytest.approx((counts - counts[0]) * TURN / 4704, abs=0.01)
 
 
 def test_samples_of_a_velocity_change_evenly_in_between(tmp_path: Path) -> None:

@@ -227,6 +227,7 @@ ROWS = "0,1,0.1\n1,1,0.2\n2,1,0.3\n"
         ("# made,by,hand\n" + ROWS, 2, "no column names"),
         ("t_s,u_V,y_rad,u_V\n0,1,2,3\n1,1,2,3\n2,1,2,3\n", 1, "column u_V twice"),
         ("t_s,u_V,y_rad\n0,1,0.1\n1,1\n2,1,0.3\n", 3, "the line has 2 fields, and the header 3"),
+        ("t_s,u_V,y_rad\n0,1\n1,1\n2,1\n", 2, "so has every line: take the names without a column out of line 1"),
         ("t_s,u_V,y_rad\n0,1,0.1\n1,1,0.2,5\n2,1,0.3\n", 3, "the line has 4 fields, and the header 3"),
         ("t_s,u_V,y_rad\n0,1,0.1\n1,x1,0.2\n2,1,0.3\n", 3, "column u_V: 'x1' is not a number"),
         ("t_s,u_V,y_rad\n0,1,0.1\n1,1_0,0.2\n2,1,0.3\n", 3, "'1_0' is not a number"),

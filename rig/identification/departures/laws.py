@@ -185,6 +185,7 @@ DEPARTURES: list[Departure] = [
     Departure(
         "linearity", "linearity of the sensor", "a potentiometer, or its calibration?",
         lambda bench: bench.linearity_rad, "a calibration at more angles, or relay tests at two speeds",
+        shown=lambda bench: bench.linearity_rad > 0.0,  # an encoder has none
     ),
     Departure(
         "drift", "drift of the friction", "a bench that warms up?", lambda bench: 0.15,
@@ -256,4 +257,4 @@ FRICTION_WAVE: Final = Departure(
     numbers=("friction_wave_sin_V", "friction_wave_cos_V"), unit="V", over_position=True,
 )  # fmt: skip
 OUTSIDE: list[Departure] = [SAG_BY_CURRENT, BEND, SOFT_COUPLING, FRICTION_WAVE]
-BY_NAME: dict[str, Departure] = {law.name: law for law in (*DEPARTURES, *OUTSIDE, level_each(2))}  # all of them
+BY_NAME: dict[str, Departure] = {law.name: law for law in (*DEPARTURES, DRIFT_EACH, level_each(2), *OUTSIDE)}  # all

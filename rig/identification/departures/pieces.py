@@ -232,7 +232,7 @@ class Cut:
         of = np.repeat(np.arange(len(self.windows)), [rows.size for rows in self.rows])
         series = [window.series for window in self.windows]
         each = [
-            series[k].noise_over_rad(n) / max(series[k].noise_rad(), 1e-300) if series[k].adds_up else 1.0
+            series[k].noise_over_rad(n) / max(series[k].noise_rad(), 1e-300) if series[k].reads == "samples" else 1.0
             for k, n in zip(of.tolist(), self.lengths, strict=True)
         ]
         return np.array(each)

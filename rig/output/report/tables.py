@@ -9,7 +9,7 @@ from datetime import datetime
 
 from pydantic import JsonValue
 
-from rig.identification.departures import DEPARTURES
+from rig.identification.departures import BY_NAME
 from rig.output.report.budget import budget_in_words
 from rig.output.report.source import PREFERRED, ReportedRun
 from rig.output.report.style import short
@@ -19,7 +19,7 @@ from rig.run_folder.results.answer_words import records_in_words
 from rig.run_folder.results.budget_lines import BudgetLine
 from rig.run_folder.results.result import NO_ESTIMATE
 
-_STATIC = next(law.title for law in DEPARTURES if law.name == "static")
+_STATIC = BY_NAME["static"].title
 AT_REST = (
     "Static friction is by how much more drive it takes at rest than in motion: these tests do not show that, and the "
     "levels at the top, to move the shaft from rest, are the breakaway check's."
@@ -106,7 +106,7 @@ def _stage_row(stage: str, values: Sequence[float | None]) -> Row:
 
 def motor_law(run: ReportedRun) -> list[MotorLawRow]:
     """The laws that the motor has beyond the plain one."""
-    causes = {law.name: (law.title, law.cause) for law in DEPARTURES}
+    causes = {law.name: (law.title, law.cause) for law in BY_NAME.values()}
     groups = {group[0]: group[1:] for group in run.result.not_told_apart or () if group}
     truth = {law.name: law for law in run.true_laws or ()}
     rows = []

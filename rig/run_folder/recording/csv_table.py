@@ -382,6 +382,8 @@ def _cure_of_count(text: CsvText, number: int, there: int, wanted: int) -> str:
     others = [other for other in DELIMITERS if other != mark and line.count(other) == wanted - 1]
     if there == 1 and others:
         return f"the names stand between {shown(mark)}, and the rows between {shown(others[0])}: make them alike"
+    if there < wanted and text.names and all(len(text.fields(row)) == there for row in text.rows):
+        return f"so has every line: take the names without a column out of line {text.line}"
     if mark != "," or there <= wanted or "." in line or not all(map(is_number, line.split(","))):
         return "correct or delete it"
     cure = "if decimal commas stand between commas, save it with semicolons between the columns"

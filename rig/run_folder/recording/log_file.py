@@ -36,6 +36,7 @@ from rig.run_folder.recording.log_format import (
 )
 from rig.run_folder.recording.log_lines import is_number, shown
 from rig.run_folder.recording.recording import MIN_ROWS, Columns, Floats, Integers, Recording, assembled, require_rising
+from rig.run_folder.recording.sample_columns import Reads
 from rig.run_folder.recording.servo_law import OwnLoop, ServoLaw
 
 _LONGEST_PERIOD_S, _SHORTEST_PERIOD_S = 0.5, 20e-6  # between samples; rig/identification/plausibility.py refuses others
@@ -96,7 +97,7 @@ def read_log(path: Path, log: LogFormat) -> list[Recording]:
         raw["u_V"] = _drive_V(path, raw["u_V"], choices["drive"], log, rows, notes)
         if log.direction is not None:
             words = _words(path, text, text.line if has_names else None, rows, "direction", log.direction)
-            ways = _ways(path, words, log.direction, rows, notes)
+            ways = _ways(path, words, raw["u_V"], log.direction, rows, notes)
             raw["u_V"] = _directed(path, raw["u_V"], ways, log.direction, rows)
     else:
         supply_V = _supply_V(text, rows, first if has_names else (), log, notes)
@@ -128,10 +129,11 @@ def _recording(source: Path, raw: Columns, rows: Sequence[int], log: LogFormat, 
     raw, rows = log_mends.in_order(raw | {"t_s": _times_s(raw, log, notes)}, rows, notes)
     t_s, u_V = raw["t_s"], raw["u_V"]
     require_rising(source, t_s, rows)
-    steps, adds_up = None, False
+    reads: Reads = "angle"
+    steps = None
     if "velocity" in choices:
         summed = _summed(source, raw, t_s, choices["velocity"], log, notes)
-        y_rad, adds_up = summed.y_rad, summed.adds_up
+        y_rad, reads = summed.y_rad, "samples" if summed.adds_up else "speed"
         if summed.rows is not None:
             steps = (t_s, u_V)
             rows, t_s, u_V = [rows[k] for k in summed.rows], t_s[summed.rows], u_V[summed.rows]
@@ -143,11 +145,14 @@ def _recording(source: Path, raw: Columns, rows: Sequence[int], log: LogFormat, 
         unit = choices["position"].unit
         scale = log.scale("position", unit)
         y_rad = scale * log_mends.unwrapped_position(raw["y_rad"], unit == "counts", 2.0 * np.pi / abs(scale), notes)
+        if unit == "counts" and np.ptp(y_rad) > 2.0 * np.pi and np.all(raw["y_rad"] == np.round(raw["y_rad"])):
+            reads = "counter"
     columns: Columns = {"t_s": t_s, "u_V": u_V, "y_rad": y_rad}
     recording = assembled(source, columns, rows, tuple(columns), notes)
     if "time" in choices:
         _refuse_other_clock(source, t_s, choices["time"])
-    return replace(recording, units_stated=True, drive_steps=steps, adds_up=adds_up)
+    most_V = math.inf if log.most(choices["drive"].unit) is None else log.supply_V or math.inf
+    return replace(recording, units_stated=True, drive_steps=steps, reads=reads, most_V=most_V)
 
 
 def _of_servo(
@@ -267,7 +272,8 @@ def _summed(
             "the velocity jumps by most of what a number of 16 bits can be: it wraps, and nobody can tell how often",
             "log it as a number of 32 bits, or log the position",
         )
-    return log_mends.summed_up(log.scale("velocity", column.unit) * unwrapped, t_s, notes)
+    scale = log.scale("velocity", column.unit)
+    return log_mends.summed_up(scale * unwrapped, t_s, notes, 0.5 * abs(scale) * log_mends.last_digit(unwrapped))
 
 
 def _drive_V(path: Path, u: Floats, one: LogColumn, log: LogFormat, rows: Sequence[int], notes: list[str]) -> Floats:
@@ -342,26 +348,35 @@ def _words(
     return np.array([fields[place] if place < len(fields) else "" for fields in map(text.fields, rows)])
 
 
-def _ways(path: Path, words: NDArray[np.str_], column: str, rows: Sequence[int], notes: list[str]) -> Floats:
-    """1 or -1 for each row: which way its drive acts, by a column of two words; 0 stands between -1 and 1.
+def _ways(
+    path: Path, words: NDArray[np.str_], u_V: Floats, column: str, rows: Sequence[int], notes: list[str]
+) -> Floats:
+    """1 or -1 for each row: which way its drive acts, by a column of two words; what stands at no drive says nothing.
 
     The larger number is the positive way, or the word that is not reverse, backward, ccw or a minus. A word that most
-    rows lack was written where it changed. Raises RecordingError.
+    rows lack was written where it changed. A log of one way may have one word. Raises RecordingError.
     """
-    back = ("R", "B", "-")  # reverse, backward
+    back = ("R", "B", "-", "CC")  # reverse, backward
     words = np.array([f"{float(word) + 0.0:g}" if is_number(word) else word for word in words.tolist()])
-    lacks = np.isin(words, ("", "nan"))
+    lacks, drives = np.isin(words, ("", "nan")), u_V != 0.0
     if float(np.mean(lacks)) > EVENTS:
         words = words[np.maximum.accumulate(np.where(lacks, 0, np.arange(words.size)))]
         lacks = np.isin(words, ("", "nan"))
+    lacks &= drives
     if lacks.any():
         raise RecordingError(
             path, f"column {column}: is empty", "fill it in or delete this line", rows[int(np.argmax(lacks))]
         )
     there = sorted(
-        set(words.tolist()),
-        key=lambda word: (float(word) if is_number(word) else 0.0, word[:1].upper() not in back, word),
+        set(words[drives].tolist()),
+        key=lambda word: (float(word) if is_number(word) else 0.0, not word.upper().startswith(back), word),
     )
+    if len(there) == 1 and there[0] != "0":
+        is_back = there[0].upper().startswith(back)
+        notes.append(
+            f"the drive is {'negative' if is_back else 'positive'}: column {column} says {there[0]} throughout"
+        )
+        return np.full(words.size, -1.0 if is_back else 1.0)
     if len(there) != 2 and not (len(there) == 3 and there[1] == "0"):
         cause = f"column {shown(column)} says {len(there)} things, such as {', '.join(map(shown, there[:3]))}"
         raise RecordingError(path, cause, "give the column that says one of two directions: --direction COLUMN")

@@ -18,6 +18,10 @@ from rig.run_folder.recording.recording import Columns, Floats, Integers
 
 _UNEVEN = 0.05  # scatter of the time between rows, over that: by chance no sample is whole steps then
 _FEW_STEPS, _FEWEST_MOVES = 10.5, 10  # of a counter, between two rows, for a velocity to show them
+# Of steps of a counter behind rounded velocities: the largest, over the most that they are rounded by; how exactly one
+# is tried, and how many; log of the probability that chance alone puts as many near whole steps
+_COARSE, _NEAR_STEP, _MOST_STEPS, _BY_CHANCE = 20.0, 0.02, 200_000, -40.0
+_FEWEST_KINDS = 30  # of changes from row to row: fewer are those of a ramp, which is near any grid
 _OF_BITS: Final = {8: 2.0**8, 16: 2.0**16, 32: 2.0**32}  # numbers that a whole number of so many bits can be
 _COUNTERS: Final = (8, 10, 12, 14, 16, 32)  # bits of a position
 # Of its range: what a position that wraps covers at least, and the most that it then moves in nearly each row. A number
@@ -237,8 +241,16 @@ class Summed(NamedTuple):
     adds_up: bool = False
 
 
-def summed_up(v_rad_per_s: Floats, t_s: Floats, notes: list[str]) -> Summed:
-    """The position from velocities, rad, from 0 on.
+def last_digit(numbers: Floats) -> float:
+    """The least decimal of numbers that were rounded to one, down to 1e-4; 0.0: they were not."""
+    for digits in range(5):
+        if np.allclose(numbers, np.round(numbers, digits), rtol=0.0, atol=1e-9):
+            return 10.0**-digits
+    return 0.0
+
+
+def summed_up(v_rad_per_s: Floats, t_s: Floats, notes: list[str], rounded_rad_s: float = 0.0) -> Summed:
+    """The position from velocities, which are rounded by so much at most, rad, from 0 on.
 
     A velocity is the mean since the row before if it comes from a counter: then each row moves by whole steps. Else it
     is a sample, and in between it changes evenly. A velocity that is held over several rows, because it is computed
@@ -246,7 +258,7 @@ def summed_up(v_rad_per_s: Floats, t_s: Floats, notes: list[str]) -> Summed:
     """
     kept = held_rows(v_rad_per_s)
     if kept is None:
-        return _integrated(v_rad_per_s, t_s, notes)
+        return _integrated(v_rad_per_s, t_s, rounded_rad_s, notes)
     notes.append(
         f"the velocity is new in every {int(kept[1] - kept[0])}th row and held in between: each is the mean since it "
         "was new before, and the position is known in these rows"
@@ -268,7 +280,7 @@ def held_rows(v: Floats) -> Integers | None:
     return np.arange(first, v.size, every)
 
 
-def _integrated(v_rad_per_s: Floats, t_s: Floats, notes: list[str]) -> Summed:
+def _integrated(v_rad_per_s: Floats, t_s: Floats, rounded_rad_s: float, notes: list[str]) -> Summed:
     periods_s = np.diff(t_s, prepend=t_s[0])
     moved = v_rad_per_s * periods_s
     steps = np.abs(moved[moved != 0.0])
@@ -280,12 +292,39 @@ def _integrated(v_rad_per_s: Floats, t_s: Floats, notes: list[str]) -> Summed:
         # of even rows a file rounds a sample to whole steps, too; but its noise is larger than they are
         noise = float(np.median(np.abs(np.diff(moved, 4)))) / math.sqrt(70.0)
         of_counter = is_whole and (noise <= one or float(np.std(periods_s[1:])) > _UNEVEN * float(np.mean(periods_s)))
+        if not of_counter and (step := _rounded_step(moved, rounded_rad_s * periods_s)):
+            of_counter, moved = True, step * np.round(moved / step)
     if of_counter:
         notes.append("the position is the sum of the velocities, from 0: each is the mean since the row before")
         return Summed(np.cumsum(moved))
     notes.append("the position is the integral of the velocities, from 0: each is a sample, as of a tachometer")
     middle = 0.5 * (v_rad_per_s[1:] + v_rad_per_s[:-1])
     return Summed(np.concatenate(([0.0], np.cumsum(middle * periods_s[1:]))), adds_up=True)
+
+
+def _rounded_step(moved: Floats, rounded: Floats) -> float | None:
+    """The step of a counter, where velocities are rounded nearly as coarsely as it is; None: they show none.
+
+    moved    from row to row
+    rounded  by how much each is rounded at most
+    Nearly all are then within that of whole steps; of other numbers chance leaves some out.
+    """
+    each, at = np.unique(np.round(np.abs(moved), 12), return_index=True)
+    most = rounded[at][each > 0.0]
+    each = each[each > 0.0]
+    if np.unique(np.round(np.diff(moved), 12)).size < _FEWEST_KINDS or not float(most.min()) > 0.0:
+        return None
+    off = float(np.median(most))
+    wanted = math.exp(_BY_CHANCE / each.size)  # share of all numbers that may be near: with it chance is small enough
+    low, high = 2.0 * off / wanted, min(float(each[0]) + off, _COARSE * off)
+    count = math.log(max(high / low, 1.0)) * float(each[-1]) / (_NEAR_STEP * off)
+    steps = np.geomspace(high, low, math.ceil(min(count, _MOST_STEPS)))
+    for some in np.array_split(steps, math.ceil(steps.size / 1000)) if steps.size else ():
+        whole = some[:, None] * np.round(each / some[:, None])
+        near = np.mean(np.abs(each - whole) < (1.0 - _NEAR_STEP) * most, axis=1)
+        if near.max() > 1.0 - 2.0 * _NEAR_STEP:
+            return float(some[np.argmax(near)])
+    return None
 
 
 def has_no_sign(v: Floats, u: Floats) -> bool:

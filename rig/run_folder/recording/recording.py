@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rig.core.signals import BenchDelay
 from rig.run_folder.recording.errors import RecordingError
-from rig.run_folder.recording.sample_columns import COLUMNS, KINDS, SampleRow
+from rig.run_folder.recording.sample_columns import COLUMNS, KINDS, Reads, SampleRow
 from rig.run_folder.recording.servo_law import OwnLoop
 from rig.run_folder.results import MeasuredDelay, RunEvent, RunMeta
 from rig.run_folder.results.reading import DamagedError, parsed
@@ -51,8 +51,9 @@ class Recording:
     first_row    number of the first row in the file; not 0 in a selection of rows
     units_stated whether somebody has said in which units the file is: then a large number is no sign of a wrong one
     drive_steps  the drive as it was, times in s and volts, where there are fewer positions than drives; None: u_V
-    adds_up      whether noise adds up from row to row, as in a sum of sampled velocities
     own_loop     of the servo that gave the drive; None: volts are volts
+    reads        what shows its positions
+    most_V       the largest drive that the bench gives, V; inf: not known
     slew_V_s     by which the device ramps its drive from one row's to the next, V/s; None: at once
     """
 
@@ -79,9 +80,10 @@ class Recording:
     first_row: int = 0
     units_stated: bool = False
     drive_steps: tuple[Floats, Floats] | None = None
-    adds_up: bool = False
     own_loop: OwnLoop | None = None
     slew_V_s: float | None = None
+    reads: Reads = "angle"
+    most_V: float = math.inf
 
     def __len__(self) -> int:
         return len(self.t_s)

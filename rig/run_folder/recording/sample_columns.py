@@ -21,6 +21,9 @@ import math
 from typing import Final, Literal, NamedTuple
 
 Kind = Literal["integer", "time", "number", "micros", "name"]
+Reads = Literal["angle", "counter", "speed", "samples"]
+"""What shows the positions: an angle; a counter, of whole counts over more than a turn; a speed, summed up, as it was
+between the rows; samples of a speed, whose noise adds up in the sum."""
 
 _COLUMNS: Final[dict[str, tuple[Kind, str]]] = {  # kind and unit
     "tick": ("integer", "1"),  # number of the tick on the loop's grid; a gap is a skipped tick

@@ -12,6 +12,7 @@ import numpy as np
 
 from rig.core.arrays import Array
 from rig.run_folder.recording.errors import IdentifyError
+from rig.run_folder.recording.sample_columns import Reads
 from rig.run_folder.recording.stage import Stage
 
 STAIR_S = 5e-4  # of a drive that is ramped
@@ -84,8 +85,9 @@ class TimeSeries:
     units_stated  whether somebody has said in which units these are: then a large number is no sign of a wrong one
     even_s     n times from which that delay counts: t_s, each later or earlier by as much as its drive was later or
                earlier than the mean; None: t_s
+    reads      what shows the positions
+    most_V     the largest drive that the bench gives, V; inf: not known
     edges      the drive as it was, where each row stands for several and u_V is their mean; None: u_V from row to row
-    adds_up    whether noise adds up from row to row, as in a sum of sampled velocities
     Raises IdentifyError on columns of unequal length, fewer than 2 rows, values that are not finite, values beyond
     1e12, a column whose values are all below 1e-12 and not all zero, times that do not increase, and drives that act
     far before or after their samples.
@@ -103,7 +105,8 @@ class TimeSeries:
     even_s: Array | None = None
     units_stated: bool = False
     edges: Steps | None = None
-    adds_up: bool = False
+    reads: Reads = "angle"
+    most_V: float = math.inf
 
     def __post_init__(self) -> None:
         columns = {"t_s": self.t_s, "y_rad": self.y_rad, "u_V": self.u_V}
@@ -311,7 +314,7 @@ class TimeSeries:
         Noise that adds up is a walk at random. Without its mean and its trend a walk of n steps of s has a variance of
         s^2 n/15, without its mean alone s^2 n/6: a motor's start is between them.
         """
-        step = WALKS[self.edges is not None] * self.noise_rad() if self.adds_up else 0.0
+        step = WALKS[self.edges is not None] * self.noise_rad() if self.reads == "samples" else 0.0
         return math.hypot(self.noise_rad(), step * math.sqrt(0.1 * rows))
 
     @cached_property

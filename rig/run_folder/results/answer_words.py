@@ -150,7 +150,7 @@ def _numbers(answer: Answer, truth: TrueMotor | None) -> Iterator[str]:
         width = "" if bounds is None else share(value, half)
         graded = (answer.grade or {}).get(key)
         if graded is not None and graded.grade == NOT_KNOWN:
-            yield f"{name:<4} not known: {_why_not(answer, key, value, half)}"
+            yield f"{name:<4} not known: {_why_not(answer, key, value, known(graded.u95))}"
             continue
         if width == "unknown":
             yield f"{name:<4} unknown: at 95 % it may be off by more than its own size"
