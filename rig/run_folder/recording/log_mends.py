@@ -12,6 +12,7 @@ from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.optimize import brentq
 
 from rig.run_folder.recording.log_format import LARGEST
 from rig.run_folder.recording.recording import Columns, Floats, Integers
@@ -20,7 +21,8 @@ _UNEVEN = 0.05  # scatter of the time between rows, over that: by chance no samp
 _FEW_STEPS, _FEWEST_MOVES = 10.5, 10  # of a counter, between two rows, for a velocity to show them
 # Of steps of a counter behind rounded velocities: the largest, over the most that they are rounded by; how exactly one
 # is tried, and how many; log of the probability that chance alone puts as many near whole steps
-_COARSE, _NEAR_STEP, _MOST_STEPS, _BY_CHANCE = 20.0, 0.02, 200_000, -40.0
+_COARSE, _NEAR_STEP, _MOST_STEPS, _BY_CHANCE = 20.0, 0.02, 200_000, -30.0
+_LEAST_SHARE = 1e-3
 _FEWEST_KINDS = 30  # of changes from row to row: fewer are those of a ramp, which is near any grid
 _OF_BITS: Final = {8: 2.0**8, 16: 2.0**16, 32: 2.0**32}  # numbers that a whole number of so many bits can be
 _COUNTERS: Final = (8, 10, 12, 14, 16, 32)  # bits of a position
@@ -315,14 +317,21 @@ def _rounded_step(moved: Floats, rounded: Floats) -> float | None:
     if np.unique(np.round(np.diff(moved), 12)).size < _FEWEST_KINDS or not float(most.min()) > 0.0:
         return None
     off = float(np.median(most))
-    wanted = math.exp(_BY_CHANCE / each.size)  # share of all numbers that may be near: with it chance is small enough
-    low, high = 2.0 * off / wanted, min(float(each[0]) + off, _COARSE * off)
+    count_of, near_enough = each.size, 1.0 - 2.0 * _NEAR_STEP
+
+    def chance(share: float) -> float:  # that so many numbers are near, of which this share would be by chance (Sanov)
+        left = (1.0 - near_enough) * math.log((1.0 - near_enough) / (1.0 - share))
+        return -count_of * (near_enough * math.log(near_enough / share) + left) - _BY_CHANCE
+
+    if chance(_LEAST_SHARE) > 0.0:
+        return None
+    low, high = 2.0 * off / brentq(chance, _LEAST_SHARE, near_enough), min(float(each[0]) + off, _COARSE * off)
     count = math.log(max(high / low, 1.0)) * float(each[-1]) / (_NEAR_STEP * off)
     steps = np.geomspace(high, low, math.ceil(min(count, _MOST_STEPS)))
     for some in np.array_split(steps, math.ceil(steps.size / 1000)) if steps.size else ():
         whole = some[:, None] * np.round(each / some[:, None])
         near = np.mean(np.abs(each - whole) < (1.0 - _NEAR_STEP) * most, axis=1)
-        if near.max() > 1.0 - 2.0 * _NEAR_STEP:
+        if near.max() > near_enough:
             return float(some[np.argmax(near)])
     return None
 
