@@ -330,8 +330,7 @@ class ServoDriver(RegisterDriver[Ask]):
         restored = not self._is_changed
         if self._is_changed:
             try:
-                put_back(self._link, self._store.load(self._setup.model) or {})
-                self._store.clear()
+                put_back(self._link, self._store)
                 restored = True
             except Fault:
                 restored = False  # the file keeps the values: the keeper, or who opens it next, does it
