@@ -121,7 +121,7 @@ class ServoBackend(RegisterBackend):
         if "tick" not in servo.table.roles:
             yield (
                 f"{servo.model} tells no clock: rig asks at another place within its step of 1 ms in each tick, "
-                "and takes the mean for true; what delays it besides makes tau wrong by as much"
+                "and takes the mean for true; what its exchanges wait is in the interval of tau"
             )
 
     @override

@@ -351,6 +351,12 @@ class ServoDriver(RegisterDriver[Ask]):
         self._transport.close()
 
     @property
+    @override
+    def times_shift_s(self) -> float:
+        """0 where the servo's clock tells them."""
+        return 0.0 if self._steps.is_known else super().times_shift_s
+
+    @property
     def link_words(self) -> Mapping[str, str]:
         """Echo and return delay, by topic, in words; once it is open."""
         delay_s = self._found_delay_s
