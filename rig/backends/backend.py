@@ -148,6 +148,10 @@ class Backend(ABC):
         """Delay of each reply between line and host (a USB adapter), at most, s."""
         return 0.0
 
+    def lost_reply_s(self, d: DeviceSetup) -> float:
+        """For how long a drive may act on because a reply does not come, beside the device's watchdog, s."""
+        return d.daq.timeout_s
+
     def times_error_s(self, d: DeviceSetup) -> float:
         """Error of the recorded time of a drive against that of a sample, at most, s."""
         return 1e-4

@@ -270,6 +270,15 @@ class RelayRules(Protocol):
 
 
 @runtime_checkable
+class ReckonedTimes(Protocol):
+    """A driver that reckons its times from those of its exchanges."""
+
+    @property
+    def times_shift_s(self) -> float:
+        """By how much all drives so far may have acted earlier, or later, against the readings than it says, s."""
+
+
+@runtime_checkable
 class PulseDriver(Driver, Protocol):
     """A driver whose device may end a drive by itself, after a time and without a fault, whatever the host does.
 

@@ -131,6 +131,8 @@ def restore(port: str, id: int, baud: int) -> None:
         values = put_right(known_servo(line, id, baud), store)
     if values is None:
         click.echo(f"nothing to put back: there is no {store.path}")
+    elif not values:
+        click.echo("nothing was written: no register holds what the run set")
     else:
         click.echo(f"put back: {', '.join(f'{name} {value}' for name, value in values.items())}")
 

@@ -216,7 +216,7 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "SERVO_CHANGED": FaultEntry(
         "rig cannot keep, or put back, what the servo's registers held before",
-        "mend the file that is named here; `rig servo restore PORT ID` puts back what it holds",
+        "mend the file that is named here, or delete it; `rig servo restore PORT ID` puts back what it holds",
     ),
     "SERVO_UNWATCHED": FaultEntry(
         "no process would stop the servo if this one died",

@@ -39,10 +39,10 @@ import numpy as np
 from rig.core.arrays import Array
 from rig.identification.chance import chi_squared_quantile, student_975
 from rig.identification.departures.budget import COVERAGE, Entry
-from rig.identification.departures.fit import POSITIVE, Fit, refitted, solve, sums_of_pieces, to_diagonal_1, unit
+from rig.identification.departures.fit import DELAY, POSITIVE, Fit, refitted, solve, sums_of_pieces, to_diagonal_1, unit
 from rig.identification.departures.fit import start as begin
 from rig.identification.departures.laws import LONG_DELAY_S, TAKEN
-from rig.identification.departures.nuisances import OF
+from rig.identification.departures.nuisances import OF, UNIFORM
 from rig.identification.departures.pieces import Cut
 from rig.model.real_motor import is_plain
 from rig.run_folder.recording.series import Window
@@ -73,11 +73,16 @@ BENDS_BY = {"sag": 1, "source": 2, "dead_band": 1}  # numbers of what acts of ea
 ONE_SIZE = "one size of drive"
 OF_READINGS = "a lag of the readings"
 UNTOLD = "a dead band that never shows"
+TIMES = "times of the drives"
 NOT_SHOWN = {
     ONE_SIZE: "what acts of a drive of one size no record shows; record drives of several sizes",
     UNTOLD: "what a dead band of the drive takes is in f_c, for the drive never brakes the shaft, nor coasts; record "
     "strokes that it reverses, or rests at 0 V while the shaft turns",
 }
+WAITED = (
+    "when its drives acted is reckoned from exchanges that waited; end what else runs on this machine, or take a USB "
+    "adapter that waits less"
+)
 PREDICTED = 0.005  # error in blocks of a plain motor that leaves nothing to share
 
 
@@ -204,6 +209,18 @@ def of_long_lag(fit: Fit, bare: Mapping[str, Fit], late_s: float) -> tuple[Entry
     taken_V = [fit.motor.dead_band_V, *(one.motor.fc_V - fit.motor.fc_V for name, one in bare.items() if name != "lag")]
     taken = COVERAGE * float(np.abs(taken_V).max())
     return (Entry(OF_READINGS, lag_s, 0.0, max(taken, ALIKE * abs(fit.motor.fc_V))),)
+
+
+def of_shift(fit: Fit, shift_s: float) -> tuple[Entry, ...]:
+    """The line for drives that may all have acted earlier or later than they say, by up to so much, s.
+
+    It is as likely to be any of that. A delay that is fitted takes it in.
+    """
+    if shift_s <= 0.0 or DELAY in fit.problem.free:
+        return ()
+    moved = solve(refitted(fit, motor=fit.motor._replace(delay_s=fit.motor.delay_s + shift_s)))
+    expanded = COVERAGE / UNIFORM
+    return (Entry(TIMES, *(expanded * abs(getattr(moved.motor, name) - getattr(fit.motor, name)) for name in OF)),)
 
 
 def of_one_size(fit: Fit) -> tuple[Entry, ...]:

@@ -37,11 +37,14 @@ from rig.identification.hanging_load import behind_a_gear
 from rig.identification.model_error import (
     MANY_LAWS,
     NOT_SHOWN,
+    TIMES,
     UNTOLD,
+    WAITED,
     any_bend,
     model_error,
     of_long_lag,
     of_one_size,
+    of_shift,
     only_like,
 )
 from rig.identification.noise import WHITE
@@ -227,6 +230,8 @@ class MotorLaw:
         cures = _listed(dict.fromkeys(law.told_by for law in laws))
         if unshown := [NOT_SHOWN[entry.source] for entry in self.budget.entries if entry.source in NOT_SHOWN]:
             yield f"{known}: {'; '.join(unshown)}"
+        elif largest.source == TIMES:
+            yield f"{known}: {WAITED}"
         elif largest.source.startswith(OTHER):
             what = " or ".join(law.title for law in laws)
             yield f"{known}: most of it is that these tests do not tell {what}; record {cures}"
@@ -504,6 +509,7 @@ def motor_law(
     one_size = of_one_size(parts)  # of which that is a part
     hides = [] if one_size else untold(parts, choice.laws, begun.chooser)
     of_late = of_long_lag(parts, bare, LATE_ROWS * max(test.period_s for test in tests))
+    of_times = of_shift(parts, max(test.times_shift_s for test in tests))
     of_untold = (Entry(UNTOLD, *np.abs(moves).tolist()) for moves in hides)
     lines = budget(
         nuisances.tempered(of_model.effect),
@@ -511,7 +517,7 @@ def motor_law(
         instead,
         scales,
         scatter * of_model.of_each,
-        (*of_model.lines, *like, *bends, *one_size, *of_untold, *of_late, *of_levels, *of_lag),
+        (*of_model.lines, *like, *bends, *one_size, *of_untold, *of_late, *of_levels, *of_lag, *of_times),
     )
     holds = _holds(whole, turns_both="bias_V" in begun.chooser.core)
     bounded = (*_at_bounds(fit, choice.laws), *(() if coupled is None else damped_at_bound(coupled)))

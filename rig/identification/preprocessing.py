@@ -109,7 +109,8 @@ def _as_commanded(recording: Recording, rows: slice, name: str) -> tuple[TimeSer
         )
         filled = np.maximum.accumulate(filled)
     error_s = _times_error_s(recording)
-    series = TimeSeries(t_s[start:], y_rad[start:], filled, u_V[start:], first + start, name, error_s, stage)
+    shift_s = max(recording.meta.times_shift_s or 0.0, 0.0)
+    series = TimeSeries(t_s[start:], y_rad[start:], filled, u_V[start:], first + start, name, error_s, shift_s, stage)
     return _with_delay(series, recording.delay, notes), notes
 
 

@@ -120,13 +120,19 @@ def test_what_cannot_be_compared_is_left_out_and_said(tmp_path: Path) -> None:
     ):
         result = json.loads((folder / "result.json").read_text())
         (folder / "result.json").write_text(json.dumps(result | change))
-    found = compared(*good, killed, refused, tracked, old, unknown)
+    damaged = write_run(tmp_path / "damaged", Told())
+    result = json.loads((damaged / "result.json").read_text())
+    for estimate in result["estimates"].values():
+        estimate["covariance"][0].pop()
+    (damaged / "result.json").write_text(json.dumps(result))
+    found = compared(*good, killed, refused, tracked, old, unknown, damaged)
     assert sorted(run["name"] for run in found["runs"]) == ["a", "b", "old"]
     why = {Path(one["folder"]).name: one["reason"] for one in found["left_out"]}
     assert "no result.json" in why["killed"]
     assert "refused: too few cycles" in why["refused"]
     assert "runs/x" in why["tracked"]
     assert "identified no motor" in why["unknown"]
+    assert "is damaged" in why["damaged"]
     notes = "\n".join(found["notes"])
     assert "old: no budget" in notes
     assert "not ok: b" in notes

@@ -113,7 +113,9 @@ def test_python_controls_smooth_motor_is_near_rigs_own(exported: Callable[..., P
 
 
 @pytest.mark.parametrize(
-    "laws", [EACH[0], MANY, ON_A_SERVO, *evidence(*((laws,) for laws in EACH[1:-1]))], ids=lambda laws: "-".join(laws)
+    "laws",
+    [EACH[0], MANY, ON_A_SERVO, ("no_brake", "lag"), *evidence(*((laws,) for laws in EACH[1:-1]))],
+    ids=lambda laws: "-".join(laws),
 )
 def test_mujoco_moves_as_rig_moves_the_motor(exported: Callable[..., Path], laws: tuple[str, ...]) -> None:
     folder = exported("mujoco", *laws)

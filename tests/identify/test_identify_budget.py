@@ -28,6 +28,7 @@ from rig.identification.departures.laws import SOFT_COUPLING
 from rig.identification.departures.nuisances import Nuisance
 from rig.identification.departures.profile import Profile
 from rig.identification.identification import Identification, other_times_explain
+from rig.identification.model_error import TIMES
 from rig.identification.stated_errors import CLOCK_ERROR, ScaleErrors, StatedErrors
 from rig.model.real_motor import RealMotor
 from rig.run_folder.recording.recording import from_columns
@@ -49,6 +50,21 @@ STATED = RunMeta(
 def relay_test(h1_V: float = 0.8, h2_V: float = 1.0) -> TimeSeries:
     bench = Bench(noise_rad=0.002, lsb_rad=LSB_RAD)
     return record(simulate(motor(), dcr(h1_V, h2_V), 900, bench), True, 100)
+
+
+def test_drives_that_may_all_have_acted_earlier_or_later_than_they_say_widen_tau_by_as_much() -> None:
+    """A servo without a clock: tau was 0.4 % too small beside 0.08 %."""
+    test, shift_s, truth_s = relay_test(), 1e-3, motor().tau_s
+    assert test.t_u_s is not None
+    off = replace(test, t_u_s=test.t_u_s + shift_s)
+    tau_s, u95_s, told = {}, {}, {}
+    for told_s in (None, shift_s):
+        found = identified(off, meta=RunMeta(times_error_s=shift_s, times_shift_s=told_s), methods=("sampled-data",))
+        assert found.motor_law is not None
+        told[told_s] = any(entry.source == TIMES for entry in found.motor_law.budget.entries)
+        tau_s[told_s], u95_s[told_s] = found.estimates["sampled-data"].tau_s, found.motor_law.budget.u95["tau_s"]
+    assert tau_s[None] == tau_s[shift_s] and told == {None: False, shift_s: True}
+    assert u95_s[None] < abs(tau_s[None] - truth_s) < u95_s[shift_s]
 
 
 def identified(*tests: TimeSeries, meta: RunMeta | None = None, **how: Any) -> Identification:

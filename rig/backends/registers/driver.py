@@ -28,7 +28,25 @@ _MISTAKEN = 2  # of the fastest ones: a reply that came twice may be taken for t
 _LATE_REPLIES = 3  # in a row: the link is not fit for the period
 LONGEST_WATCHDOG_S = 1.0  # that the config allows
 
+_STOOD_STILL_S = 0.002  # beyond the sum an exchange was held up by this process, and counts as so much
+
 Setting = tuple[Register, list[int]]  # a register, and its cells
+
+
+class _Beyond:
+    """What exchanges of one kind took beyond what the config says, s: in the mean, and at least."""
+
+    def __init__(self) -> None:
+        self.count, self._sum_s, self.least_s = 0, 0.0, math.inf
+
+    def take(self, beyond_s: float) -> None:
+        self.count += 1
+        self._sum_s += min(beyond_s, _STOOD_STILL_S)
+        self.least_s = min(self.least_s, beyond_s)
+
+    @property
+    def mean_s(self) -> float:
+        return self._sum_s / max(self.count, 1)
 
 
 class RegisterDriver(ABC, Generic[Req]):
@@ -85,6 +103,7 @@ class RegisterDriver(ABC, Generic[Req]):
         self._sampled_s = math.nan  # when the position of the last reading was
         self._driven_s = -math.inf  # when the device last executed a drive
         self._acts_s = 0.0  # for so long its watchdog lets that act
+        self._beyond = {True: _Beyond(), False: _Beyond()}  # of readings, of drives
 
     @property
     def order(self) -> Order:
@@ -95,6 +114,18 @@ class RegisterDriver(ABC, Generic[Req]):
     def descriptor(self) -> int | None:
         """Number of the open port or connection, as of ``Driver``; None in virtual time."""
         return getattr(self._transport, "descriptor", None)
+
+    @property
+    def times_shift_s(self) -> float:
+        """As of ``ReckonedTimes``.
+
+        What an exchange took beyond the quickest one is taken for its way back. It may have been on the way there, of
+        readings another part than of drives.
+        """
+        kinds = self._beyond.values()
+        if not all(kind.count for kind in kinds):
+            return 0.0  # one exchange does both
+        return max(kind.mean_s for kind in kinds) - min(kind.least_s for kind in kinds)
 
     @property
     def link_statistics(self) -> Mapping[str, int]:
@@ -491,6 +522,7 @@ class RegisterDriver(ABC, Generic[Req]):
         except Fault as fault:
             self._explain(fault)
             raise
+        self._beyond[request is self._sampling].take(reply.latest_s - reply.executed_s)
         if reply.round_trip_s <= self._timeout_s:
             self._late_in_a_row = 0
             return reply

@@ -1,4 +1,8 @@
-"""What a servo's registers held before rig changed them, kept on disk until they hold it again."""
+"""What a servo's registers held before rig changed them, and what it set, kept on disk until they hold it again.
+
+The file is of a place, where another servo may be by the next command: nothing is put back to one that holds a value
+which is neither. What is lost without supply tells nothing by that.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,7 @@ import contextlib
 import json
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -41,8 +45,11 @@ _CHANGED: Final = {
 }
 
 
+Sets = Mapping[str, Sequence[int]]  # what rig may set a register to
+
+
 class BeforeStore:
-    """A file that holds the values of before while rig has changed them.
+    """A file that holds the values of before, and those that rig sets, while rig has changed them.
 
     path  None: kept in memory alone, of a servo in virtual time
     """
@@ -50,6 +57,7 @@ class BeforeStore:
     def __init__(self, path: Path | None = None) -> None:
         self.path = path
         self._values: dict[str, int] | None = None
+        self._sets: Sets | None = None
 
     @property
     def note_path(self) -> Path | None:
@@ -72,21 +80,28 @@ class BeforeStore:
         return ""
 
     def load(self, model: ServoModel) -> dict[str, int] | None:
-        """What an earlier run has left; None where it left nothing.
+        """The values of before that an earlier run has left, as ``read``."""
+        return self.read(model)[0]
+
+    def read(self, model: ServoModel) -> tuple[dict[str, int] | None, Sets | None]:
+        """The values of before, None where none are left; and what rig sets, None where the file does not tell.
 
         Raises Fault SERVO_CHANGED for a damaged file, and for one of another model.
         """
         if self.path is None:
-            return self._values
+            return self._values, self._sets
         try:
             content = read_plain(self.path, _MOST_BYTES)
         except FileNotFoundError:
-            return self._values  # somebody has deleted it meanwhile
+            return self._values, self._sets  # somebody has deleted it meanwhile
         except OSError as error:
             raise Fault("SERVO_CHANGED", f"{self.path}: {error.strerror}") from error
         try:
             found: Any = strict_json.parse(content.decode("utf-8"))
             whose, registers = found["model"], {str(name): int(value) for name, value in found["registers"].items()}
+            sets = found.get("set")
+            if sets is not None:
+                sets = {name: [int(value) for value in sets[name]] for name in registers if name in sets}
             for name, value in registers.items():
                 if whose == model.name and model.has(name):
                     model[name].pack(value)  # one that it cannot hold would stop the putting back half-way
@@ -95,18 +110,22 @@ class BeforeStore:
         foreign = [name for name in registers if name not in _CHANGED[model.protocol] or not model.has(name)]
         if whose != model.name or foreign:
             raise Fault("SERVO_CHANGED", f"{self.path} is of {whose}{f', with {foreign[0]}' if foreign else ''}")
-        return registers
+        return registers, sets
 
-    def save(self, model: ServoModel, id: int, values: Mapping[str, int]) -> None:
-        """Keep the values, on the disk when this returns. Raises Fault SERVO_CHANGED: then nothing may be written."""
-        self._values = dict(values)
+    def save(self, model: ServoModel, id: int, values: Mapping[str, int], sets: Sets | None = None) -> None:
+        """Keep the values, on the disk when this returns. Raises Fault SERVO_CHANGED: then nothing may be written.
+
+        sets  what rig sets those registers to whose value it knows beforehand; None: each may hold anything
+        """
+        self._values, self._sets = dict(values), sets
         if self.path is None:
             return
         fresh = self.path.with_name(f"{self.path.name}.{os.getpid()}")
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with fresh.open("w", encoding="utf-8") as file:
-                json.dump({"model": model.name, "id": id, "registers": self._values}, file)
+                told = {} if sets is None else {"set": sets}
+                json.dump({"model": model.name, "id": id, "registers": self._values, **told}, file)
                 file.flush()
                 os.fsync(file.fileno())
             fresh.replace(self.path)
@@ -115,7 +134,7 @@ class BeforeStore:
 
     def clear(self) -> None:
         """The servo holds them again."""
-        self._values = None
+        self._values = self._sets = None
         if self.path is not None:
             with contextlib.suppress(OSError):
                 self.path.unlink(missing_ok=True)
@@ -131,7 +150,7 @@ def store_of(port: str, id: int) -> BeforeStore:
     """The file of one servo, by its id and the serial number of its adapter on USB, else where that is plugged in.
 
     The same for every command and config, by whatever name they have the port: a file that nobody finds again is none.
-    Off USB by the name of the device file. Another servo at the same place is not told from it, if of its model and id.
+    Off USB by the name of the device file.
     """
     found = usb_port(port)
     where = found.serial_number or found.location or Path(port).resolve().name
@@ -153,17 +172,54 @@ def values_of(link: ServoLink) -> dict[str, int]:
     return kept
 
 
-def put_back(link: ServoLink, values: Mapping[str, int]) -> None:
-    """Torque off, then every register as it was, read back. Raises Fault LINK_*, SERVO_REFUSED, ARM_READBACK."""
-    model = link.model
-    torque = model.roles["torque"]
-    link.put(torque, 0)
-    if "watchdog" in model.roles:
-        link.put(model.roles["watchdog"], 0)  # while it has acted no goal can be written
+def put_back(link: ServoLink, store: BeforeStore, *, is_left: bool = False) -> dict[str, int]:
+    """Torque off, then every register as it was, read back; then the store is empty. What was put back.
+
+    is_left  by an earlier run: then only what is still as that has set it, and to no other servo
+    Raises Fault LINK_*, SERVO_REFUSED, ARM_READBACK; SERVO_CHANGED before anything is written.
+    """
+    model, roles = link.model, link.model.roles
+    values, sets = store.read(model)
+    values = values or {}
+    if is_left and sets is not None and not (values := _as_left(link, values, sets, store)):
+        store.clear()
+        return {}
+    link.put(roles["torque"], 0)
+    if "watchdog" in roles:
+        link.put(roles["watchdog"], 0)  # while it has acted no goal can be written
     names = [name for name in _CHANGED[model.protocol] if name in values]
-    for name in names + names:  # a wrong answer may have said that one holds its value already
-        link.hold(name, values[name])
-    link.put(torque, 0)  # on some servos writing a goal switches it on
+    mode = names.index(roles["mode"]) if roles["mode"] in names else 0
+    for part in (names[:mode], names[mode:]):
+        if mode and part == names[mode:]:  # once the mode is back nothing tells any more that rig has changed it
+            store.save(model, link.bus.id, {name: values[name] for name in part})
+        for name in part + part:  # a wrong answer may have said that one holds its value already
+            link.hold(name, values[name])
+    link.put(roles["torque"], 0)  # on some servos writing a goal switches it on
+    store.clear()
+    return values
+
+
+def _as_left(link: ServoLink, values: Mapping[str, int], sets: Sets, store: BeforeStore) -> dict[str, int]:
+    """The values of before for what is still as the run has set it; none for a servo that shows nothing of it.
+
+    Raises Fault SERVO_CHANGED where a register that is kept without supply holds another value than those two.
+    """
+    model, drive = link.model, link.model.roles["drive"]
+    held = {name: link.sure(name) for name in values}
+    ours = {name: (before, *sets.get(name, ())) for name, before in values.items()}
+    for name, known in ours.items():
+        if held[name] not in known and model.is_eeprom(model[name]):
+            words = " or ".join(str(value) for value in dict.fromkeys(known))
+            raise Fault(
+                "SERVO_CHANGED",
+                f"{model[name]} reads {held[name]}, but a run that has not put it back left {words}: this is another "
+                f"servo, or somebody has changed it since. Nothing was written. {store.path} is of that run: delete "
+                "it, if this servo is as you want it",
+            )
+    shown = [name for name in sets if any(value != values[name] for value in sets[name])]
+    if shown and not any(held[name] != values[name] and held[name] in ours[name] for name in shown):
+        return {drive: 0} if values.get(drive) == 0 else {}  # of a servo of PWM mode rig's duty shows nowhere else
+    return {name: value for name, value in values.items() if name not in sets or held[name] in ours[name]}
 
 
 def order_of(link: ServoLink, values: Mapping[str, int]) -> list[Ask]:

@@ -85,7 +85,11 @@ def facts(
 
     restored = False
     try:
-        opened = set_up(link, setup, store, watched)
+        further = {link.model.roles["mode"]: link.model.position_mode}
+        if link.model.protocol == "feetech":
+            further |= {link.model.roles["max_drive"]: _P_MOST_STEPS, "position_p_gain": _P_GAIN_COUNTS["feetech"][0]}
+            further |= _OVERLOAD
+        opened = set_up(link, setup, store, watched, further)
         if "watchdog" in link.model.roles:
             yield Fact(
                 "watchdog_stops",
@@ -109,8 +113,7 @@ def facts(
                 yield _keeps_mode(link, powered)
     finally:
         try:
-            put_back(link, store.load(link.model) or {})
-            store.clear()
+            put_back(link, store)
             restored = True
         finally:
             for one in watching:

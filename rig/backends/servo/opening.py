@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Final
 
-from rig.backends.servo.before import BeforeStore, put_back, values_of
+from rig.backends.servo.before import BeforeStore, Sets, put_back, values_of
 from rig.backends.servo.bus import ServoLink
 from rig.backends.servo.models import ServoModel, models_of
 from rig.backends.servo.packets import LAST_ID
@@ -62,6 +63,7 @@ class ServoSetup:
     longest_delay_s  return delay that a tick has room for, s: one that is not longer stays as it is
     supply_switch    that must be tried before it drives, in words; empty: none must
     adapter_s        by how much its USB adapter makes an exchange longer, at most, s
+    longest_wait_s   for one answer in a tick, where it has no watchdog, s; its time-out at least
     """
 
     model: ServoModel
@@ -76,6 +78,7 @@ class ServoSetup:
     longest_delay_s: float = 0.0
     supply_switch: str = ""
     adapter_s: float = 0.0
+    longest_wait_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -157,7 +160,7 @@ def try_switch(link: ServoLink, setup: ServoSetup, store: BeforeStore, asks: Ask
         return is_seen
 
     before = link.value(marked)
-    store.save(link.model, id, {marked: before})
+    store.save(link.model, id, {marked: before}, {marked: [_MARK]})
     try:
         link.hold(marked, _MARK)
         if not asks(f"open the switch of the servo's supply: {setup.supply_switch}", sees(_SILENT, _UNSUPPLIED)):
@@ -183,36 +186,46 @@ def leave_no_trace(link: ServoLink, setup: ServoSetup, store: BeforeStore) -> Le
     check_model(link, setup)
     words = store.note()
     remarks = (f"the run before has ended without a stop; its keeper {words}",) if words else ()
-    values = store.load(link.model)
-    if values is None:
+    if store.load(link.model) is None:
         return Left(remarks, ())
     others = check_free(link)
     watchdog = link.model.roles.get("watchdog")
     acted = ("DEVICE_WATCHDOG",) if watchdog is not None and link.value(watchdog) == -1 else ()
-    put_back(link, values)
-    store.clear()
-    remark = "an earlier run has ended without putting the servo's registers back: rig has done that now"
+    changed = put_back(link, store, is_left=True)
+    done = "rig has done that now" if changed else "nothing of that run is left in them"
+    remark = f"an earlier run has ended without putting the servo's registers back: {done}"
     return Left((*remarks, remark), acted, others)
 
 
 def set_up(
-    link: ServoLink, setup: ServoSetup, store: BeforeStore, watched: Callable[[], None] = lambda: None
+    link: ServoLink,
+    setup: ServoSetup,
+    store: BeforeStore,
+    watched: Callable[[], None] = lambda: None,
+    further: Mapping[str, int] = MappingProxyType({}),
 ) -> Opened:
     """Keep the values of before, then set the servo up, torque off, drive 0, and prove its watchdog.
 
+    further  what registers will be set to besides, by name
     watched  has somebody stop the servo if this process dies; called once the values are kept, before anything is
              written
     Raises Fault LINK_*, ARM_READBACK, SERVO_CHANGED, SERVO_REFUSED.
     """
     model = setup.model
-    before = values_of(link)
-    store.save(model, setup.id, before)
-    watched()
     torque, mode, limit = (model.roles[role] for role in ("torque", "mode", "max_drive"))
+    before, delay = values_of(link), model.role("return_delay")
+    sets = {limit: setup.max_units, mode: model.pwm_mode}
+    if before[delay.name] * delay.scale > setup.longest_delay_s:
+        sets[delay.name] = 0
+    if setup.fastest_slope and "slope" in model.roles:
+        sets[model.roles["slope"]] = _FASTEST
+    names = {**sets, **further}
+    told: Sets = {name: [one[name] for one in (sets, further) if name in one] for name in names}
+    store.save(model, setup.id, before, told)
+    watched()
     link.put(torque, 0)
     if "watchdog" in model.roles:
         link.put(model.roles["watchdog"], 0)  # one that has acted takes no goal
-    delay = model.role("return_delay")
     if link.value(delay.name) * delay.scale > setup.longest_delay_s:  # of EEPROM, as limit, mode and slope are
         link.hold(delay.name, 0)
     link.hold(limit, setup.max_units)  # first: changing the mode sets the goal to it

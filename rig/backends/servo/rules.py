@@ -54,6 +54,17 @@ def switch_to_try(d: DeviceSetup, servo: Servo) -> str:
     return (servo.supply_switch or "") if is_real and needs_switch(d, servo) else ""
 
 
+def longest_wait_s(d: DeviceSetup, servo: Servo) -> float:
+    """The longest wait for one answer in a tick, s. Preflight counts it, and the driver waits no longer.
+
+    Where nothing in the servo takes its duty away, until its keeper would; but of a joint one time-out: it could meet
+    its stop meanwhile.
+    """
+    if has_watchdog(servo) or servo.attached == "joint":
+        return d.daq.timeout_s
+    return max(d.daq.timeout_s, min(d.daq.watchdog_s, _NO_WATCHDOG_S))
+
+
 def _is_proven(d: DeviceSetup, servo: Servo) -> bool:
     """Whether nothing drives without a watchdog that works."""
     return has_watchdog(servo) and not d.daq.accept_no_watchdog

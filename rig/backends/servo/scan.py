@@ -170,7 +170,7 @@ def _unlocked(link: ServoLink, store: BeforeStore) -> Iterator[None]:
     """Open a servo's lock, where it has one, for the block, which closes it where all goes well."""
     lock = link.model.roles.get("lock")
     if lock is not None:
-        store.save(link.model, link.bus.id, {lock: 1})
+        store.save(link.model, link.bus.id, {lock: 1}, {lock: [0]})
         link.put(lock, 0)
     try:
         yield
@@ -197,13 +197,10 @@ def restore(link: ServoLink, store: BeforeStore) -> dict[str, int] | None:
 
     Raises Fault SERVO_CHANGED, SERVO_IN_USE, SECOND_MASTER, LINK_*.
     """
-    values = store.load(link.model)
-    if values is None:
+    if store.load(link.model) is None:
         return None
     check_free(link)  # it takes the torque away: not from somebody who drives it
-    put_back(link, values)
-    store.clear()
-    return values
+    return put_back(link, store, is_left=True)
 
 
 def all_registers(link: ServoLink) -> Iterator[tuple[str, int, int, str]]:

@@ -135,7 +135,10 @@ def _largest_V(answer: Answer) -> float:
 
 def _values(estimate: EstimateResult) -> tuple[Array, Array]:
     tau, gain, friction = (known(estimate.value(name)) for name in MAIN)
-    covariance = np.array(estimate.covariance or (), dtype=np.float64)
+    matrix = estimate.covariance or ()
+    if len({len(row) for row in matrix}) > 1:
+        raise NotComparableError("the covariance of its estimate is damaged: `rig identify` it anew")
+    covariance = np.array(matrix, dtype=np.float64)
     at = [estimate.covariance_of.index(name) for name in MAIN if name in estimate.covariance_of]
     if not (tau > 0.0 and gain > 0.0 and math.isfinite(friction)):
         raise NotComparableError("its estimate lacks tau, K or f_c")

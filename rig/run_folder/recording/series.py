@@ -80,6 +80,7 @@ class TimeSeries:
     first_row  number of the first row in its file
     name       its name in messages
     times_error_s  largest error of t_u_s against t_s, s, at least 0
+    times_shift_s  by how much all of t_u_s may be off alike, s, at least 0
     stage      the stage of these rows; None if the file has no stages
     delay_s    what is known of that constant delay, s: least and most; None: nothing
     units_stated  whether somebody has said in which units these are: then a large number is no sign of a wrong one
@@ -100,6 +101,7 @@ class TimeSeries:
     first_row: int = 0
     name: str = "recording"
     times_error_s: float = TIMES_ERROR_S
+    times_shift_s: float = 0.0
     stage: Stage | None = None
     delay_s: tuple[float, float] | None = None
     even_s: Array | None = None
@@ -261,6 +263,7 @@ class TimeSeries:
             even_s=both(self.even_s, later.even_s),
             u_V=np.concatenate((self.u_V, later.u_V)),
             times_error_s=max(self.times_error_s, later.times_error_s),
+            times_shift_s=max(self.times_shift_s, later.times_shift_s),
         )
 
     def predictable(self, longest_delay_s: float) -> Window:

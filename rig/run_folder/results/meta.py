@@ -116,6 +116,9 @@ class RunMeta(Part):
         "steps of the drive at full duty; null: the drive has no steps"
     )
     times_error_s: Number = key("largest error of t_u_s against t_s, s")
+    times_shift_s: Sometimes[float] = key(
+        "by how much all of t_u_s may be off against t_s, s: of a device whose times rig reckons from its exchanges"
+    )
     firmware: DeviceSeen | None = key("the device as it introduced itself")
     drive: SupplyBelieved | None = key("the motor supply by the config")
     sensor: Sometimes[SensorBelieved] = key("the sensor's errors by the config")

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 from rig.backends.clock import MonotonicClock, PacedClock
-from rig.backends.driver import PulseDriver, RelayCommand
+from rig.backends.driver import PulseDriver, ReckonedTimes, RelayCommand
 from rig.config import Experiment
 from rig.config.schema import Method
 from rig.control.breakaway import BreakawayCheck, BreakawayFound
@@ -273,7 +273,18 @@ def _delay_of(session: Session, reported_s: float, noise_rad: float) -> BenchDel
 
 @contextmanager
 def prepared(session: Session) -> Iterator[None]:
-    """Set this process up for real time during the block, if time is real."""
+    """Set this process up for real time during the block, if time is real. After it the driver's times are judged."""
+    try:
+        yield from _prepared(session)
+    finally:
+        driver = session.bench.driver
+        is_first = session.meta.times_shift_s is None  # what is identified next is judged by that, also in a replay
+        if is_first and isinstance(driver, ReckonedTimes) and driver.times_shift_s > 0.0:
+            with suppress(RecordingError):  # a full disk has its own words
+                session.add_to_meta(times_shift_s=driver.times_shift_s)
+
+
+def _prepared(session: Session) -> Iterator[None]:
     if not isinstance(session.bench.clock, MonotonicClock):
         _note_real_time(session, RealTime(["virtual time: lateness means nothing here"]))
         yield

@@ -48,7 +48,7 @@ def device_watchdog_s(d: DeviceSetup) -> float | None:
 
 def known_reaction_s(d: DeviceSetup) -> float:
     """``reaction_s`` plus one lost reply plus the device's watchdog, where it has one, s."""
-    return reaction_s(d) + d.daq.timeout_s + (device_watchdog_s(d) or 0.0)
+    return reaction_s(d) + backend_of(d).lost_reply_s(d) + (device_watchdog_s(d) or 0.0)
 
 
 def limits_are_ordered(d: DeviceSetup) -> bool:
@@ -87,12 +87,12 @@ def stopping_terms(d: DeviceSetup) -> tuple[tuple[str, float], ...]:
     """
     v = d.limits.max_speed_rad_s
     lag_s, adapter_s = _further_lag_s(d), backend_of(d).reply_delay_s(d)
-    watchdog_s = device_watchdog_s(d)
+    watchdog_s, lost_s = device_watchdog_s(d), backend_of(d).lost_reply_s(d)
     return (
         (f"{reaction_periods(d)} periods", v * reaction_periods(d) * d.period_s),
         *((("velocity window", v * lag_s),) if lag_s > 0.0 else ()),
         *((("USB adapter", v * adapter_s),) if adapter_s > 0.0 else ()),
-        ("reply time-out", v * d.daq.timeout_s),
+        ("reply time-out" if lost_s == d.daq.timeout_s else "lost reply", v * lost_s),
         *((("watchdog", v * watchdog_s),) if watchdog_s is not None else ()),
         ("coasting", v * d.limits.coast_tau_s),
     )

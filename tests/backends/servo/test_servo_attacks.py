@@ -362,6 +362,7 @@ def test_who_goes_on_after_the_keeper_has_acted_says_so(protocol: str, late: boo
     watching.has_acted = True
     if late:
         bench.driver._late_in_a_row = 2
+        bench.driver._waited_s.append(0.05)
         bench.bus.bus.reply_fault = ReplyFault("late", by_s=0.02)
     else:
         bench.servo._set("torque", 0)

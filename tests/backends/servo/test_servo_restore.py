@@ -12,10 +12,12 @@ import pytest
 from evidence import evidence
 from servo_bench import BYSTANDERS, PROTOCOLS, Bench, Keeper, addressed
 
-from rig.backends.servo.before import BeforeStore, order_of
-from rig.backends.servo.bus import ServoLink
+from rig.backends.servo.before import BeforeStore, order_of, values_of
+from rig.backends.servo.bus import Ask, ServoLink
+from rig.backends.servo.facts import facts
 from rig.backends.servo.line import servo_of
 from rig.backends.servo.link_budget import longest_return_delay_s
+from rig.backends.servo.scan import restore
 from rig.core.faults import Fault
 
 NEVER = {"id", "baud_rate", "homing_offset", "min_position_limit", "max_position_limit", "secondary_id", "drive_mode"}
@@ -162,7 +164,7 @@ def killed_at(protocol: str, step: int, tmp_path: Path) -> bool:
 
 
 @pytest.mark.parametrize(("protocol", "step"), [
-    *((p, s) for p in PROTOCOLS for s in (0, 1, 4, 7, 12)),
+    *((p, s) for p in PROTOCOLS for s in (0, 1, 4, 7, 12)), ("dynamixel", 37),
     *evidence(*((p, s) for p in PROTOCOLS for s in range(LAST_STEP) if s not in (0, 1, 4, 7, 12))),
 ])  # fmt: skip
 def test_a_run_that_is_killed_anywhere_is_put_right_by_the_next(protocol: str, step: int, tmp_path: Path) -> None:
@@ -294,6 +296,7 @@ def test_nothing_is_written_where_the_values_of_before_cannot_be_kept(tmp_path: 
                                   '{"model": "xl330-m288", "registers": {"id": 3}}',
                                   '{"model": "xl330-m288", "registers": {"pwm_limit": 99999}}',
                                   '{"model": "xl330-m288", "registers": {"pwm_limit": 1e999}}',
+                                  '{"model": "xl330-m288", "registers": {"pwm_limit": 300}, "set": {"pwm_limit": 7}}',
                                   "[" * 100_000])  # fmt: skip
 def test_a_file_that_is_damaged_or_of_another_servo_is_not_believed(text: str, tmp_path: Path) -> None:
     path = tmp_path / "servo.json"
@@ -318,3 +321,123 @@ def test_values_that_another_servo_left_are_not_written_to_this_one(protocol: st
         other.opened()
     other.driver.close()
     assert other.servo.eeprom_writes.total() == 0 and store.load(bench.setup.model) is not None
+
+
+def left_by_a_killed_run(bench: Bench, tmp_path: Path) -> BeforeStore:
+    """A run of this bench is killed while it is armed. The file as the next command finds it."""
+    bench.store.path = tmp_path / "servo.json"
+    bench.armed()
+    return BeforeStore(bench.store.path)
+
+
+@pytest.mark.parametrize("opens", [True, False])
+@pytest.mark.parametrize(("protocol", "name", "value"), [
+    ("dynamixel", "pwm_limit", 600), ("dynamixel", "operating_mode", 4), ("dynamixel", "pwm_slope", 99),
+    ("dynamixel", "return_delay_time", 10), ("feetech", "mode", 1), ("feetech", "position_p_gain", 77),
+])  # fmt: skip
+def test_another_servo_of_the_same_model_and_id_is_written_nothing(
+    protocol: str, name: str, value: int, opens: bool, tmp_path: Path
+) -> None:
+    """It holds neither what the first held before, nor what rig has set: two adapters have changed their places."""
+    store = left_by_a_killed_run(Bench(protocol), tmp_path)
+    other = Bench(protocol, store=store, registers={name: value})
+    before = other.registers()
+    with pytest.raises(Fault) as raised:
+        other.opened() if opens else restore(other.driver._link, store)
+    other.driver.close()
+    fault = raised.value
+    assert fault.code == "SERVO_CHANGED" and name in fault.detail and f"reads {value}" in fault.detail
+    assert str(store.path) in fault.detail and store.is_kept
+    assert other.registers() == before and other.servo.eeprom_writes.total() == 0
+
+
+def test_another_servo_as_shipped_gets_no_gains_of_the_one_that_was_there(tmp_path: Path) -> None:
+    """All that is kept without supply is alike: that nothing is as rig has set it tells the other one."""
+    first = Bench()
+    first.servo.put("position_p_gain", 123)
+    store = left_by_a_killed_run(first, tmp_path)
+    other = Bench(store=store)
+    before = other.registers()
+    info = other.opened()
+    assert any("nothing of that run is left" in remark for remark in info.remarks)
+    other.driver.close()
+    assert other.registers() == before and not store.is_kept
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_servo_that_lost_its_supply_after_a_killed_run_is_no_other_one(protocol: str, tmp_path: Path) -> None:
+    """A Feetech forgets what is behind its lock, a Dynamixel its goals and gains."""
+    bench = Bench(protocol)
+    before = owned(bench)
+    store = left_by_a_killed_run(bench, tmp_path)
+    bench.servo.power_cycle()
+    bench.bus.sleep_until(bench.bus.now_s() + 0.5)
+    bench.store = store
+    run_of = bench.another()
+    run_of.open()
+    run_of.close()
+    assert owned(bench) == before | {"torque_limit": 1000} if protocol == "feetech" else before
+
+
+@pytest.mark.parametrize(("protocol", "mode", "step"), [
+    ("dynamixel", "its own", 6), ("feetech", "PWM", 3),
+    *evidence(*((p, mode, 1) for p in PROTOCOLS for mode in ("its own", "PWM"))),
+])  # fmt: skip
+def test_what_a_keeper_that_was_killed_had_still_to_put_back_the_next_command_does(
+    protocol: str, mode: str, step: int, tmp_path: Path
+) -> None:
+    given, orders = 2, 3
+    while given < orders:
+        bench = Bench(protocol)
+        if mode == "PWM":
+            bench.servo._set("mode", bench.setup.model.pwm_mode)
+            bench.servo._set("drive", 0)
+        keeper, before = Keeper(bench), owned(bench)
+        bench.driver._start_guardian = keeper
+        store = left_by_a_killed_run(bench, tmp_path)
+        bench.tick(0.3)
+        assert keeper.stop()
+        orders = len(keeper._restore)
+        assert all(keeper._given(keeper._restore[:given], 0.1))
+        bench.bus.sleep_until(bench.bus.now_s() + 0.5)
+        restore(bench.another()._link, store)
+        assert owned(bench) == before and not bench.servo.is_on and not store.is_kept, given
+        assert mode != "PWM" or bench.servo.of("drive") == 0, given
+        given += step
+
+
+@pytest.mark.parametrize(("protocol", "first"), [
+    *((p, 5) for p in PROTOCOLS), *evidence(*((p, f) for p in PROTOCOLS for f in range(6))),
+])  # fmt: skip
+def test_facts_that_are_killed_anywhere_are_put_right_by_the_next_run(
+    protocol: str, first: int, tmp_path: Path
+) -> None:
+    """Ahead of every seventh write of a register that a run changes."""
+    at, is_there = 7 * first, True
+    while is_there:
+        bench = Bench(protocol, store=BeforeStore(tmp_path / f"servo-{at}.json"))
+        link, before, left = bench.driver._link, owned(bench), at
+        real, changed = link.write_of, set(values_of(link))
+
+        def write_of(name: str, value: int, changed: set[str] = changed, real: Callable[[str, int], Ask] = real) -> Ask:
+            nonlocal left
+            left -= name in changed
+            if left < 0:
+                raise Killed
+            return real(name, value)
+
+        link.write_of = write_of  # type: ignore[method-assign]
+        try:
+            for _ in facts(link, bench.store, lambda bench=bench: bench.bus.power_cycle()):  # type: ignore[misc]
+                pass
+        except Killed:
+            pass
+        else:
+            is_there = False
+        bench.bus.sleep_until(bench.bus.now_s() + 0.5)
+        bench.store = BeforeStore(bench.store.path)
+        bench.servo.put("torque_enable", 0)
+        bench.another().open()
+        bench.driver.close()
+        assert owned(bench) == before, at
+        at += 42 if first < 5 else 60

@@ -106,6 +106,30 @@ def test_who_is_held_up_between_asking_and_reading_shifts_no_time(
     assert abs(statistics.mean(drives_s)) < LARGEST_MEAN_S and max(map(abs, drives_s)) < STEP_S
 
 
+@pytest.mark.parametrize("on_its_way", ["there", "back", "neither"])
+def test_by_how_much_all_drives_of_a_servo_without_a_clock_may_be_off_is_told(on_its_way: str) -> None:
+    """As behind an adapter, or a machine, that has slept since the last tick: readings wait longer than drives."""
+    bench, rng, asks = Bench("feetech"), random.Random(1), b""
+    bench.armed()
+
+    def waits(direction: str, data: bytes, _: float) -> list[tuple[float, bytes]]:
+        nonlocal asks
+        asks = data if direction == "request" else asks
+        if on_its_way != ("there" if direction == "request" else "back"):
+            return [(0.0, data)]
+        mean_s = 3e-4 if asks == bench.driver._sampling.data else 1e-4
+        return [(rng.uniform(0.5, 1.5) * mean_s, data)]
+
+    bench.bus.bus.disturbance, is_at_s = waits, turning(bench)
+    samples = [bench.tick(rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 1.5)) for _ in range(300)][5:]
+    seen = [(s.t_u_s, acted_s(bench.bus.outputs[0], s.t_u_s)) for s in samples]
+    drives_s = statistics.mean(t_u_s - at_s for t_u_s, at_s in seen if at_s is not None)
+    off_s = drives_s - statistics.mean(s.t_s - is_at_s(s.y_rad) for s in samples)
+    told_s = bench.driver.times_shift_s
+    assert abs(off_s) <= told_s + LARGEST_MEAN_S
+    assert (told_s > 1e-4) == (on_its_way != "neither") and (on_its_way != "there" or off_s > LARGEST_MEAN_S)
+
+
 @pytest.mark.parametrize("adapter", ["cp210x", "ch340"])
 def test_answers_as_late_as_their_adapter_makes_them_cost_no_further_reading(
     adapter: Adapter, monkeypatch: pytest.MonkeyPatch
