@@ -10,7 +10,7 @@ import numpy as np
 from rig.core.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, FLAG_SATURATED
 from rig.identification.cycles import NoRelayError, find_cycle
 from rig.identification.mean_cycle import Cycle
-from rig.identification.plausibility import without_holes
+from rig.identification.plausibility import since_it_moves, without_holes
 from rig.identification.preprocessing import evened, from_recording
 from rig.identification.records import FURTHER, left_out, sound_rows
 from rig.identification.stated_errors import StatedErrors
@@ -260,6 +260,7 @@ def _series_of(
 
 def at_their_times(whole: TimeSeries) -> tuple[list[TimeSeries], list[str]]:
     """The parts of a plain file between gaps, at even times where its stamps scatter about these, and sentences."""
+    whole = since_it_moves(whole)
     test, said = evened(whole)
     parts, gaps = ([test], said) if said else without_holes(whole)
     if len(parts) > 1:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
@@ -303,6 +304,14 @@ def _lost_rows(test: TimeSeries) -> NDArray[np.intp]:
     if test.t_u_s is not None or float(np.mean(np.abs(periods - 1.0) < ON_TIME)) < EVEN_ROWS:
         return np.array([], dtype=np.intp)
     return np.flatnonzero((periods > 2.0 - ON_TIME) & (steps_V > STEPPED * np.abs(test.u_V).max()))
+
+
+def since_it_moves(test: TimeSeries) -> TimeSeries:
+    """Of a drive that never changes the rows from the first motion on: how late it began to act, no row tells."""
+    first = int(np.argmax(np.abs(test.y_rad - test.y_rad[0]) >= _motion(test)))
+    if np.ptp(test.u_V) > 0.0 or len(test) - first < FEWEST_ROWS:
+        return test
+    return replace(test, t_u_s=test.t_s).part(first, len(test))
 
 
 def without_holes(test: TimeSeries) -> tuple[list[TimeSeries], list[str]]:
