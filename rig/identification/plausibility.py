@@ -355,10 +355,10 @@ def _holes(test: TimeSeries) -> list[Objection]:
     starts, ends = np.append(0, holes + 1), np.append(holes, len(test) - 1)
     part = int(np.argmax(test.t_s[ends] - test.t_s[starts]))
     first, last = test.first_row + int(starts[part]), test.first_row + int(ends[part])
-    reason = (
-        f"{test.name}: {_in_words(test, holes)}: the drive there is unknown; identify the longest part without a gap "
-        f"(--rows {first}:{last})"
-    )
+    cure = f"identify the longest part without a gap (--rows {first}:{last})"
+    if last - first < FEWEST_ROWS:
+        cure = "between them are too few rows for a fit: log every tick"
+    reason = f"{test.name}: {_in_words(test, holes)}: the drive there is unknown; {cure}"
     return [Objection("doubtful", reason)]
 
 

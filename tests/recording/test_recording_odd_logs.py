@@ -87,6 +87,12 @@ ODD = {  # for each: the log, what the error says, what to type by it
     "a plotter's labels": (
         log("", row="ms:{k}0,pwm:{u},rad:{y:.4f}"), "did you mean", "--time ms --drive pwm --position rad"
     ),
+    "camel case": (log("timeMs,motorPwm,angleDeg", row="{k}0,{u},{y:.4f}"), "did you mean",
+        "--time ms --drive pwm --position deg"),
+    "dates beside decimal commas": (
+        log("Zeit;Spannung (V);Winkel (Grad)", ";").replace(".", ",").replace("\n0,", "\n30.11.2026 07:30:00,"),
+        "did you mean", "--time Zeit:s --drive V --position deg",
+    ),
     "a speed in turns": (log("t_s,u_V,speed_rev_s"), "of velocity rad/s", "--velocity speed_rev_s:UNIT"),
     "a speed": (log("t [s],u [V],omega [rad/s]"), "no column", "--time s --drive V --velocity rad/s"),
 }  # fmt: skip
@@ -125,6 +131,11 @@ def test_an_odd_log_is_refused_with_options_that_read_it(tmp_path: Path, name: s
             log("t_s,u_V,y_rad", row="{k},1,5,0,3"),
             "",
             "if decimal commas stand between commas, save it with semicolons",
+        ),
+        (
+            log("", row="{u}90;{t};{y}"),
+            "--time s --drive percent --supply-V 8 --position rad",
+            "number them: --time 1:s",
         ),
         (log("", row="2026-01-02 03:04:05.{k:02d},{u},{y:.4f}"), "", "--period 10ms --drive pwm --position counts"),
         (log("t_s,u_V,y_rad", row=""), "", "has 0 rows; record at least 3"),
@@ -259,6 +270,9 @@ def test_units_that_a_name_says() -> None:
         ("counts per second", "position", set()),
         ("Drehzahl (U/min)", "velocity", {"rpm"}),
         ("Winkel [°]", "position", {"deg"}),
+        ("angleDeg", "position", {"deg"}),
+        ("mV", "drive", {"mV"}),
+        ("RPM", "velocity", {"rpm"}),
     ):
         assert units_said(name, quantity) == units, name
 

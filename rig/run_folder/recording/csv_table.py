@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -135,7 +135,7 @@ class CsvText:
 
     def with_decimal_points(self) -> CsvText:
         """With decimal commas as decimal points, and a note, if no comma separates columns and no row has a point."""
-        if self.delimiter == "," or not _has_decimal_commas(self.lines, self.rows):
+        if self.delimiter == "," or not _has_decimal_commas(map(self.fields, self.rows)):
             return self
         lines = [line.replace(",", ".") for line in self.lines]
         return replace(self, lines=lines, notes=(*self.notes, "decimal commas were read as decimal points"))
@@ -258,13 +258,13 @@ def _check_magic(path: Path, content: bytes) -> None:
             raise RecordingError(path, cause, cure.format(path=quote(str(path))))
 
 
-def _has_decimal_commas(lines: Sequence[str], numbers: Sequence[int]) -> bool:
-    """Whether numbers have decimal commas: no comma separates the columns, and rows have commas but no points."""
+def _has_decimal_commas(rows: Iterable[Sequence[str]]) -> bool:
+    """Whether numbers have decimal commas: fields have commas, but no points; dates and times of day may."""
     commas = False
-    for number in numbers:
-        if "." in lines[number - 1]:
+    for field in (field for row in rows for field in row if not is_date(field)):
+        if "." in field:
             return False
-        commas = commas or "," in lines[number - 1]
+        commas = commas or "," in field
     return commas
 
 

@@ -78,7 +78,7 @@ ALL_UNITS: Final = {
     *["%", "°", "°/s", "a", "ma", "u/min", "tr/min", "1/min", "min-1", "rev/min", "rev/s", "u/s", "tr/s"],
 }
 """What a field of a row of units may say, in small letters."""
-_WORD: Final = re.compile(r"[^\W\d_]+")
+_WORD: Final = re.compile(r"[^\W\d_]+?(?:(?<=[a-z][a-z])(?=[A-Z])|(?![^\W\d_]))")  # of "leftSpeed": left, Speed
 _RATE: Final = re.compile(r"/\s*(s|sec|min)\b|(?<![^\W_])per(?![^\W_])", re.IGNORECASE)  # in a velocity's name
 _PERIOD: Final = re.compile(r"\s*([0-9.eE+-]+)\s*(s|ms|us|ns)\s*")
 _CURRENTS: Final = ("A", "mA")
