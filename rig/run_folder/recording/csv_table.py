@@ -40,6 +40,7 @@ MAX_STAGE_LENGTH: Final = 64
 _MAX_INTEGER: Final = 2.0**53  # a float cannot hold every integer beyond
 _ROWS_AT_ONCE: Final = 4096
 _WITH_UNIT: Final = re.compile(r"([+-]?[0-9.]+(e[+-]?[0-9]+)?)\s*([^\W\d_]+|%|°)", re.IGNORECASE)
+_MADE_A_DATE: Final = re.compile(r"\d{1,2}[-./ ]{1,2}[^\W\d_]{3,}\.?|[^\W\d_]{3,}[-./ ]{1,2}\d{1,2}")
 _FEWEST_COLUMNS: Final = 3
 _FEW: Final = 0.01  # share of rows that may lack a number, and are left out
 EVENTS: Final = 0.5  # share of rows without a drive, from which on it was written where it changed
@@ -402,4 +403,6 @@ def _cure(path: Path, name: str, text: str) -> str:
         return f"write the number alone, without {found[3]}"
     if "," in text and is_number(text.replace(",", ".")):
         return "use a decimal point"
+    if _MADE_A_DATE.fullmatch(text):
+        return "a spreadsheet took a number such as 28.2 for a date: give the log as it was, or import it as text"
     return "correct or delete this line"
