@@ -99,7 +99,8 @@ def judge_records(tests: Sequence[TimeSeries], motor: Estimate | None = None) ->
         looks = (units, _holes, partial(_spikes, motor=motor), _rails, *(() if told else (_little, _information)))
         for place, look in enumerate((_columns,) if columns else looks):
             for number, one in enumerate(columns or look(test)):
-                of = (place, number, one.verdict) if is_one else (place, number, one.verdict, k)
+                alike = is_one or not one.spoils  # of one way only
+                of = (place, number, one.verdict) if alike else (place, number, one.verdict, k)
                 found.setdefault(of, []).append(one)
     if not one_way(tests):
         found = {of: each for of, each in found.items() if each[0].spoils}
