@@ -51,6 +51,10 @@ def test_logs_that_are_read_as_they_are(tmp_path: Path) -> None:
         log("t_s,u_V,y_rad").replace("\n0.10", "\n\n\n0.10"),
         "sep=;\n" + log("t_s;u_V;y_rad", ";"),
         log("t_s,u_V,y_rad\n(s),(V),(rad)"),
+        log("t_s,u_V,y_rad").replace("-", "\N{MINUS SIGN}"),
+        log("t_s,u_V,y_rad", row="({t:.2f}, {u}, {y:.4f})"),
+        log("t_s,u_V,y_rad", row="[{t:.2f}, {u}, {y:.4f}],"),
+        log("t_s u_V y_rad", " ", row=" [{t:.2f}  {u}  {y:.4f}]"),
     ):
         path = tmp_path / "log.csv"
         path.write_text(text, newline="")
@@ -135,6 +139,8 @@ def test_an_odd_log_is_refused_with_options_that_read_it(tmp_path: Path, name: s
             "",
             "if decimal commas stand between commas, save it with semicolons",
         ),
+        (log("    1.0e+03 *", row="  {t:.4f}  {u}  {y:.4f}"), "", "all numbers are to be taken times this, 1.0e+03 *"),
+        (log("t_s,duty,y_rad", row="{t:.2f},{u}e-1,{y:.4f}"), "--drive duty:percent --supply-V 12", "COLUMN:duty"),
         (
             log("", row="{u}90;{t};{y}"),
             "--time s --drive percent --supply-V 8 --position rad",

@@ -41,6 +41,8 @@ _MAX_INTEGER: Final = 2.0**53  # a float cannot hold every integer beyond
 _ROWS_AT_ONCE: Final = 4096
 _WITH_UNIT: Final = re.compile(r"([+-]?[0-9.]+(e[+-]?[0-9]+)?)\s*([^\W\d_]+|%|°)", re.IGNORECASE)
 _MADE_A_DATE: Final = re.compile(r"\d{1,2}[-./ ]{1,2}[^\W\d_]{3,}\.?|[^\W\d_]{3,}[-./ ]{1,2}\d{1,2}")
+_FIRST_LINES: Final = 100  # a factor of all numbers stands in these
+_FACTOR: Final = re.compile(r"\s*\d\.\d+e[+-]\d+\s*\*\s*")
 _FEWEST_COLUMNS: Final = 3
 _FEW: Final = 0.01  # share of rows that may lack a number, and are left out
 EVENTS: Final = 0.5  # share of rows without a drive, from which on it was written where it changed
@@ -101,6 +103,12 @@ class CsvText:
         notes = [*notes, *encoded, *torn]
         lines = lines_of(path, whole)
         found = None if own else table_in(lines)
+        factor = next((k for k, line in enumerate(lines[:_FIRST_LINES], 1) if _FACTOR.fullmatch(line)), 0)
+        if factor and not own:
+            cause = (
+                f"all numbers are to be taken times this, {lines[factor - 1].strip()}: they are rounded for a screen"
+            )
+            raise RecordingError(path, cause, "save them in full, in MATLAB: writematrix(data, 'log.csv')", factor)
         if found is not None and found.other:
             cause = f"the line names other columns than line {found.line}: another table begins"
             raise RecordingError(path, cause, "cut the file here: each table is a file of its own", found.other)
@@ -270,14 +278,17 @@ def _has_decimal_commas(rows: Iterable[Sequence[str]]) -> bool:
 
 
 def _in_utf8(content: bytes) -> tuple[bytes, list[str]]:
-    """The content of a log in UTF-8, and a note where it was not. Only its names can have other letters."""
+    """The content of a log in UTF-8, minus signs as ASCII has them; a note where it was not UTF-8.
+
+    Only its names can have other letters.
+    """
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         return content.decode("utf-16", "replace").encode(), ["it was read as UTF-16"]
     try:
         content.decode("utf-8-sig")
     except UnicodeDecodeError:
         return content.decode("latin-1").encode(), ["it is not UTF-8: its names were read as Latin-1"]
-    return content, []
+    return content.replace("\N{MINUS SIGN}".encode(), b"-"), []
 
 
 def _delimiter(first: str) -> str:

@@ -46,6 +46,7 @@ _SIGNED = 0.05  # of the largest drive: a smaller negative one may be noise of a
 # drive and motion are correlated
 _HALF, _TO_AND_FRO, _TURNS = 0.02, 0.1, 0.4
 _PULSE_US = 1500.0  # middle of the pulses for a servo or a motor's controller, us
+_NO_DUTY = 100.0  # a full drive that is so large is none of a duty
 _OVER = 1.001  # of full drive: what rounding may show
 _FULL: Final = (255, 1023, 4095, 65535)  # usual numbers for full drive
 
@@ -301,6 +302,10 @@ def _drive_V(path: Path, u: Floats, one: LogColumn, log: LogFormat, rows: Sequen
             f"{cure}; or, if this is a command that the bridge limits, log what the bridge gave",
             rows[k],
         )
+    largest = float(np.abs(u).max())
+    if most is not None and most >= _NO_DUTY and largest <= 1.0 and u.size >= _FEWEST_ROWS and np.any(u != np.round(u)):
+        cause = f"the drive is a fraction, at most {largest:g}, and in {one.unit} full drive is {most:g}"
+        raise RecordingError(path, cause, "give the unit that it is in, such as --drive COLUMN:duty", rows[0])
     return np.asarray(log.scale("drive", one.unit) * u)
 
 
