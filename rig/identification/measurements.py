@@ -161,6 +161,12 @@ def measurements(
             data.recording_of.append(str(recording.source))
             has_cycle = with_cycles and (test.stage is None or test.stage.kind is not StageKind.STROKES)
             data.cycles.append(_cycle(test, data) if has_cycle else None)
+    moved = [k for k, test in enumerate(data.tests) if test.stage is not None or np.ptp(test.y_rad) > 0.0]
+    if 0 < len(moved) < len(data.tests):
+        still = [test.name for k, test in enumerate(data.tests) if k not in moved]
+        data.notes += [f"{name}: left out, because its shaft never moved" for name in still]
+        data.tests, data.cycles = [data.tests[k] for k in moved], [data.cycles[k] for k in moved]
+        data.recording_of = [data.recording_of[k] for k in moved]
     if not data.tests:
         data.tests = data.hysteretic
         data.recording_of = [name for name, series in data.sources for _ in series]

@@ -333,7 +333,7 @@ def test_runs_of_one_level_each_tell_the_motor_together_however_late_each_drive_
 
     [said] = [one for one in answered(run(7.0, 0.04), run(5.0, 0.015)).reasons if "one way only" in one]
     assert "another test alike" in said
-    answer = answered(run(7.0, 0.04), run(5.0, 0.015), run(3.0, 0.01), run(-5.0, 0.03), run(-7.0, 0.01))
+    answer = answered(run(7.0, 0.04), run(5.0, 0.015), run(0.5, 0.0), run(3.0, 0.01), run(-5.0, 0.03), run(-7.0, 0.01))
     assert right(answer, MOTOR, 0.05, "tau_s", "K_rad_s_V", "fc_V")
     with pytest.raises(IdentifyError, match="the drive never changes"):
         found_in(run(7.0, 0.0), run(7.0, 0.04))

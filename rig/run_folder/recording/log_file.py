@@ -443,6 +443,10 @@ def _places(
     """The place of each quantity's column, from 0. Raises RecordingError."""
     if not has_names and all(one.column is None for one in choices.values()) and len(first) == len(choices):
         return {quantity: k for k, quantity in enumerate(choices)}
+    if len(first) < len(choices):
+        cause = f"has {len(first)} columns, and {', '.join(choices)} are {len(choices)}"
+        cure = "add what is missing: a drive that stayed as it was is a column, too"
+        raise RecordingError(path, cause, cure, line)
     places: dict[str, int] = {}
     # columns that are named come first: others are looked for among what is left
     for quantity, one in sorted(choices.items(), key=lambda item: item[1].column is None):
@@ -496,7 +500,7 @@ def _usual_place(path: Path, line: int, first: Sequence[str], quantity: str, one
 
 def _say_which(quantity: str, names: Sequence[str]) -> str:
     """What to type to name a column."""
-    usual = [name for name in names if USUAL_NAMES[quantity].intersection(words_of(name))]
+    usual = [name for name in names if any(len(word) > 1 and word in USUAL_NAMES[quantity] for word in words_of(name))]
     name = next((name for name in (*usual, *names) if name), "1")
     named, units = quote(f"{name}:UNIT"), ", ".join(UNITS[quantity])
     cure = f"say which, for example --{quantity} {named}, with one of the units {units}"
