@@ -48,6 +48,7 @@ def test_logs_that_are_read_as_they_are(tmp_path: Path) -> None:
         log("t_s;u_V;y_rad;", ";", row="{t:.2f};{u};{y:.4f};"),
         decimal,
         decimal.replace(";", "|"),
+        log("t_s,u_V,y_rad", row='"{t:.2f}";"{u}";"{y:.4f}"').replace(".", ",").replace(";", ","),
         log("t_s,u_V,y_rad").replace("\n0.10", "\n\n\n0.10"),
         "sep=;\n" + log("t_s;u_V;y_rad", ";"),
         log("t_s,u_V,y_rad\n(s),(V),(rad)"),

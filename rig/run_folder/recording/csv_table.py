@@ -43,6 +43,8 @@ _WITH_UNIT: Final = re.compile(r"([+-]?[0-9.]+(e[+-]?[0-9]+)?)\s*([^\W\d_]+|%|°
 _MADE_A_DATE: Final = re.compile(r"\d{1,2}[-./ ]{1,2}[^\W\d_]{3,}\.?|[^\W\d_]{3,}[-./ ]{1,2}\d{1,2}")
 _FIRST_LINES: Final = 100  # a factor of all numbers stands in these
 _FACTOR: Final = re.compile(r"\s*\d\.\d+e[+-]\d+\s*\*\s*")
+_QUOTED: Final = re.compile('"[^"]*"')
+_ALL: Final = re.compile(".+")
 _FEWEST_COLUMNS: Final = 3
 _FEW: Final = 0.01  # share of rows that may lack a number, and are left out
 EVENTS: Final = 0.5  # share of rows without a drive, from which on it was written where it changed
@@ -143,10 +145,13 @@ class CsvText:
         ]
 
     def with_decimal_points(self) -> CsvText:
-        """With decimal commas as decimal points, and a note, if no comma separates columns and no row has a point."""
-        if self.delimiter == "," or not _has_decimal_commas(map(self.fields, self.rows)):
+        """With decimal commas as decimal points, and a note, if fields have commas, in quotes or not, and no points."""
+        of_commas = self.delimiter == ","
+        may = [number for number in self.rows if not of_commas or '"' in self.lines[number - 1]]
+        if not _has_decimal_commas(map(self.fields, may)):
             return self
-        lines = [line.replace(",", ".") for line in self.lines]
+        within = _QUOTED if of_commas else _ALL
+        lines = [within.sub(lambda found: found[0].replace(",", "."), line) for line in self.lines]
         return replace(self, lines=lines, notes=(*self.notes, "decimal commas were read as decimal points"))
 
 
