@@ -179,6 +179,15 @@ def test_a_second_table_with_other_names_is_refused_and_no_restart_is_one(tmp_pa
     assert whole(read(path))
 
 
+def test_a_log_of_several_motors_in_turn_is_refused_with_a_command_that_keeps_one(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("t_s,id,u_V,y_rad\n" + log("", row="{t:.2f},7,{u},{y:.4f}\n{t:.2f},8,1,0.5"))
+    with pytest.raises(RecordingError, match="'id' says 2 things at each time") as caught:
+        read(path, LogFormat())
+    subprocess.run(caught.value.cure.partition(": ")[2], shell=True, check=True, cwd=tmp_path)
+    assert whole(read(tmp_path / "one.csv", LogFormat()))
+
+
 def test_labels_may_change_their_order(tmp_path: Path) -> None:
     rows = log("", row="t_s:{t:.2f},u_V:{u},y_rad:{y:.4f}").splitlines()
     rows[5::3] = [",".join(reversed(row.split(","))) for row in rows[5::3]]

@@ -92,6 +92,8 @@ def read_log(path: Path, log: LogFormat) -> list[Recording]:
     notes = [*text_notes, _taken({q: called[place] for q, place in places.items()}, log)]
     if log.period_s is not None:
         raw["t_s"] = np.searchsorted(sorted([*text.rows, *text.torn]), rows).astype(np.float64)
+    if log.run is None and log.period_s is None:
+        _refuse_several(text, rows, raw["t_s"], set(range(len(first))) - set(places.values()))
     supply_V = log.supply_V
     guessed = [] if has_names or any(one.column is not None for one in choices.values()) else [_numbered(choices)]
     if log.servo is None:
@@ -307,6 +309,25 @@ def _drive_V(path: Path, u: Floats, one: LogColumn, log: LogFormat, rows: Sequen
         cause = f"the drive is a fraction, at most {largest:g}, and in {one.unit} full drive is {most:g}"
         raise RecordingError(path, cause, "give the unit that it is in, such as --drive COLUMN:duty", rows[0])
     return np.asarray(log.scale("drive", one.unit) * u)
+
+
+def _refuse_several(text: CsvText, rows: Sequence[int], t: Floats, others: set[int]) -> None:
+    """Refuse a log in which each time stands in several rows, and another column tells these apart: several motors."""
+    each = int(np.argmax(np.diff(t, append=np.inf) != 0.0)) + 1
+    if each == 1 or t.size < 2 * each or np.any(np.diff(t[: t.size // each * each].reshape(-1, each)) != 0.0):
+        return
+    seen = [text.fields(row) for row in rows[: 3 * each]]
+    for k in sorted(others):
+        words = [fields[k] for fields in seen]
+        if len(set(words[:each])) == each and all(word == words[n % each] for n, word in enumerate(words)):
+            called = shown(text.names[k]) if text.names else str(k + 1)
+            above, mark = text.line - (0 if text.names else 1), text.delimiter
+            kept = words[0] if is_number(words[0]) else f'"{words[0]}"'
+            one = quote(f"NR <= {above} || ${k + 1} == {kept}")
+            raise RecordingError(
+                text.path, f"column {called} says {each} things at each time: {each} motors in turn, or more",
+                f"keep one of them: awk -F {quote(mark)} {one} {quote(str(text.path))} > one.csv", rows[0],
+            )  # fmt: skip
 
 
 def _refuse_middle(path: Path, u: Floats, y: Floats, full: float | None, rows: Sequence[int]) -> None:
