@@ -8,8 +8,10 @@ if this is true of no other recording.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from shlex import quote
+from typing import Final
 
 from rig.identification import sampled_data
 from rig.identification.estimate import Estimate
@@ -17,6 +19,8 @@ from rig.identification.opinion import RecordingEstimate, agree, differences, me
 from rig.identification.starts import Start
 from rig.run_folder.recording.errors import IdentifyError
 from rig.run_folder.recording.series import TimeSeries
+
+_RUN: Final = re.compile(r"(.+) \(run (\d+) of \d+\)")
 
 
 def estimates_of_each(
@@ -77,4 +81,8 @@ def disagreement(found: Sequence[RecordingEstimate]) -> str | None:
 
 
 def _command(found: Sequence[RecordingEstimate]) -> str:
-    return "`rig identify " + " ".join(quote(opinion.name) for opinion in found) + "`"
+    """What to type for these alone. A run of several in a file is no file yet."""
+    runs = {opinion.name: _RUN.fullmatch(opinion.name) for opinion in found}
+    typed = " ".join(quote(name) if run is None else f"run-{run[2]}.csv" for name, run in runs.items())
+    cut = " and ".join(dict.fromkeys(run[1] for run in runs.values() if run is not None))
+    return f"`rig identify {typed}`" + (f", cut out of {cut}" if cut else "")

@@ -10,7 +10,7 @@ import numpy as np
 from rig.core.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, FLAG_SATURATED
 from rig.identification.cycles import NoRelayError, find_cycle
 from rig.identification.mean_cycle import Cycle
-from rig.identification.plausibility import without_holes
+from rig.identification.plausibility import since_it_moves, without_holes
 from rig.identification.preprocessing import evened, from_recording
 from rig.identification.records import FURTHER, left_out, sound_rows
 from rig.identification.stated_errors import StatedErrors
@@ -162,6 +162,12 @@ def measurements(
             data.recording_of.append(str(recording.source))
             has_cycle = with_cycles and (test.stage is None or test.stage.kind is not StageKind.STROKES)
             data.cycles.append(_cycle(test, data) if has_cycle else None)
+    moved = [k for k, test in enumerate(data.tests) if test.stage is not None or np.ptp(test.y_rad) > 0.0]
+    if 0 < len(moved) < len(data.tests):
+        still = [test.name for k, test in enumerate(data.tests) if k not in moved]
+        data.notes += [f"{name}: left out, because its shaft never moved" for name in still]
+        data.tests, data.cycles = [data.tests[k] for k in moved], [data.cycles[k] for k in moved]
+        data.recording_of = [data.recording_of[k] for k in moved]
     if not data.tests:
         data.tests = data.hysteretic
         data.recording_of = [name for name, series in data.sources for _ in series]
@@ -261,6 +267,7 @@ def _series_of(
 
 def at_their_times(whole: TimeSeries) -> tuple[list[TimeSeries], list[str]]:
     """The parts of a plain file between gaps, at even times where its stamps scatter about these, and sentences."""
+    whole = since_it_moves(whole)
     test, said = evened(whole)
     parts, gaps = ([test], said) if said else without_holes(whole)
     if len(parts) > 1:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
@@ -98,7 +99,8 @@ def judge_records(tests: Sequence[TimeSeries], motor: Estimate | None = None) ->
         looks = (units, _holes, partial(_spikes, motor=motor), _rails, *(() if told else (_little, _information)))
         for place, look in enumerate((_columns,) if columns else looks):
             for number, one in enumerate(columns or look(test)):
-                of = (place, number, one.verdict) if is_one else (place, number, one.verdict, k)
+                alike = is_one or not one.spoils  # of one way only
+                of = (place, number, one.verdict) if alike else (place, number, one.verdict, k)
                 found.setdefault(of, []).append(one)
     if not one_way(tests):
         found = {of: each for of, each in found.items() if each[0].spoils}
@@ -308,6 +310,14 @@ def _lost_rows(test: TimeSeries) -> NDArray[np.intp]:
     return np.flatnonzero((periods > 2.0 - ON_TIME) & (steps_V > STEPPED * np.abs(test.u_V).max()))
 
 
+def since_it_moves(test: TimeSeries) -> TimeSeries:
+    """Of a drive that never changes the rows from the first motion on: how late it began to act, no row tells."""
+    first = int(np.argmax(np.abs(test.y_rad - test.y_rad[0]) >= _motion(test)))
+    if np.ptp(test.u_V) > 0.0 or len(test) - first < FEWEST_ROWS:
+        return test
+    return replace(test, t_u_s=test.t_s).part(first, len(test))
+
+
 def without_holes(test: TimeSeries) -> tuple[list[TimeSeries], list[str]]:
     """The parts between holes, each with the name of the whole, and a sentence; the whole where too little is left.
 
@@ -351,8 +361,9 @@ def _holes(test: TimeSeries) -> list[Objection]:
     first, last = test.first_row + int(starts[part]), test.first_row + int(ends[part])
     cure = f"identify the longest part without a gap (--rows {first}:{last})"
     if last - first < FEWEST_ROWS:
-        cure = "no part without one is long enough; log every tick"
-    return [Objection("doubtful", f"{test.name}: {_in_words(test, holes)}: the drive there is unknown; {cure}")]
+        cure = "between them are too few rows for a fit: log every tick"
+    reason = f"{test.name}: {_in_words(test, holes)}: the drive there is unknown; {cure}"
+    return [Objection("doubtful", reason)]
 
 
 def one_way(tests: Sequence[TimeSeries]) -> bool:

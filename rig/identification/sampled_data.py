@@ -257,16 +257,18 @@ def nearest(tests: Sequence[TimeSeries], starts: Sequence[Start] | None, periods
 def _problem(tests: Sequence[TimeSeries], delay_s: tuple[float, float] | None) -> OutputErrorProblem:
     """The fit as a problem of least squares with white noise, with ``delay_s`` as ``_fitted``.
 
-    Raises IdentifyError if nothing changes in a test.
+    Raises IdentifyError if a test's position never changes, or all drives are the same.
     """
     bounds = delay_s or (0.0, 0.0)
     windows = tuple(test.predictable(bounds[1]) for test in tests)
+    drives_V = {float(u_V) for window in windows for u_V in window.steps.u_V}
     for test, window in zip(tests, windows, strict=True):
-        still = "position" if np.ptp(window.y_rad) == 0.0 else "drive" if window.steps.u_V.size < 2 else None
+        still = "position" if np.ptp(window.y_rad) == 0.0 else "drive" if len(drives_V) < 2 else None
         if still is not None:
             raise IdentifyError(
                 f"{test.name}: the {still} never changes",
-                "record a relay test (`rig relay CONFIG`), or any drive that moves the motor both ways",
+                "record a relay test (`rig relay CONFIG`), or any drive that moves the motor both ways; or give runs "
+                "of other drives with it",
             )
     return OutputErrorProblem(windows, bounds, (True, True, True, not one_way(tests), delay_s is not None))
 

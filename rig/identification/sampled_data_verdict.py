@@ -178,7 +178,7 @@ def slipped_rms_rad(estimate: Estimate, tests: Sequence[TimeSeries]) -> float:
     Wrong times look like a lag, or like a motor with laws of its own. If other times explain the tests, they are wrong.
     Also inf for times within a third of a period: no row is so little off, and the lag of a winding is.
     """
-    if any(test.t_u_s is None for test in tests):
+    if not _say_when(tests):
         return math.inf
     moved = _moved(estimate, tests)
     if abs(float(moved.x[4])) <= SLIPPED * max(test.period_s for test in tests):
@@ -194,7 +194,7 @@ def late_s(estimate: Estimate, tests: Sequence[TimeSeries]) -> float:
     if all(test.t_u_s is None for test in tests):
         longest_s = max(test.longest_delay_s for test in tests)
         return longest_s if estimate.delay_s > AT_BOUND * longest_s else 0.0
-    if any(test.t_u_s is None for test in tests):
+    if not _say_when(tests):
         return 0.0
     slip_s = float(_moved(estimate, tests).x[4])
     return slip_s if slip_s > SLIPPED * max(test.period_s for test in tests) else 0.0
@@ -204,6 +204,11 @@ def is_early(estimate: Estimate, tests: Sequence[TimeSeries]) -> bool:
     """Whether the drive acts as early as was looked for, in tests that do not say when it acts."""
     earliest_s = min(test.earliest_delay_s for test in tests)
     return all(test.t_u_s is None for test in tests) and estimate.delay_s < AT_BOUND * earliest_s < 0.0
+
+
+def _say_when(tests: Sequence[TimeSeries]) -> bool:
+    """Whether the tests say when their drives act, and one shows it: a drive that never changes does not."""
+    return all(test.t_u_s is not None for test in tests) and any(test.steps.u_V.size > 1 for test in tests)
 
 
 def _moved(estimate: Estimate, tests: Sequence[TimeSeries]) -> Solution:
@@ -225,7 +230,7 @@ def _row_convention(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate
 
     The error of the link's times counts as zero, too: a recording without noise shows microseconds.
     """
-    if any(test.t_u_s is None for test in tests):
+    if not _say_when(tests):
         return estimate
     period = max(test.period_s for test in tests)
     moved = _moved(estimate, tests)

@@ -286,7 +286,8 @@ def _steps_at_once(test: TimeSeries) -> bool:
 def _goes_at_one_pace(test: TimeSeries) -> bool:
     """Whether many steps of the drive are alike, and none is larger."""
     steps_V = np.abs(np.diff(test.u_V))
-    return bool(np.mean(steps_V[steps_V > 0.0] > (1.0 - EVENLY) * steps_V.max()) > OFTEN)
+    alike = np.count_nonzero(steps_V > (1.0 - EVENLY) * steps_V.max())
+    return bool(alike > OFTEN * np.count_nonzero(steps_V))
 
 
 def _without_ramps(u_V: Array) -> Array:

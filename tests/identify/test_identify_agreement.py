@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -58,6 +59,14 @@ def test_where_several_differ_none_is_named() -> None:
     said = disagreement([opinion(name) for name in ("a", "weak", "odd")])
     assert said is not None
     assert said.startswith("the 3 recordings do not agree, and more than one differs")
+
+
+def test_a_run_in_a_file_of_several_is_to_be_cut_out_of_it() -> None:
+    """The command that was named has no such file."""
+    runs = [replace(opinion(name), name=f"log.csv (run {k} of 3)") for k, name in enumerate(("a", "odd", "b"), 1)]
+    said = disagreement(runs)
+    assert said is not None
+    assert said.endswith("Leave it out: `rig identify run-1.csv run-3.csv`, cut out of log.csv")
 
 
 def test_one_that_cannot_be_identified_alone_has_no_opinion() -> None:

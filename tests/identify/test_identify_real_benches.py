@@ -47,6 +47,7 @@ from rig.identification.thinning import COARSEST_PATH_RAD, of_one_step, showing_
 from rig.identification.verdict import MORE_CYCLES, by_prediction, reserved
 from rig.model.real_motor import Frame, MovingMotor, RealMotor, index
 from rig.output.report.simulated import simulated
+from rig.run_folder.recording.errors import IdentifyError
 from rig.run_folder.recording.log_format import LogColumn, LogFormat
 from rig.run_folder.recording.reader import read_all
 from rig.run_folder.recording.recording import from_columns
@@ -333,6 +334,23 @@ def test_one_level_one_way_tells_tau_and_neither_K_nor_friction() -> None:
     grade = answered((t_s, u_V, STEP_RAD * np.round(y_rad / STEP_RAD))).grade
     assert grade is not None and grade["tau_s"].value == pytest.approx(0.05, rel=0.05)
     assert {grade[name].grade for name in ("K_rad_s_V", "fc_V", "fc_less_bias_V")} == {"not known"}
+
+
+def test_runs_of_one_level_each_tell_the_motor_together_however_late_each_drive_acts() -> None:
+    """They were refused: "the drive never changes". With the rows before the shaft moves tau was 46 % off beside 24."""
+
+    def run(level_V: float, late_s: float) -> Recorded:
+        t_s = np.linspace(0.0, 0.6, 120, endpoint=False)
+        given = np.array([-1.0, late_s]), np.array([0.0, level_V])
+        y_rad = response(MOTOR, Frame(duration_s=0.6), given, t_s, Pieces.one())
+        return t_s, np.full(t_s.size, level_V), STEP_RAD * np.round(y_rad / STEP_RAD)
+
+    [said] = [one for one in answered(run(7.0, 0.04), run(5.0, 0.015)).reasons if "one way only" in one]
+    assert "another test alike" in said
+    answer = answered(run(7.0, 0.04), run(5.0, 0.015), run(0.5, 0.0), run(3.0, 0.01), run(-5.0, 0.03), run(-7.0, 0.01))
+    assert right(answer, MOTOR, 0.05, "tau_s", "K_rad_s_V", "fc_V")
+    with pytest.raises(IdentifyError, match="the drive never changes"):
+        found_in(run(7.0, 0.0), run(7.0, 0.04))
 
 
 @pytest.mark.evidence

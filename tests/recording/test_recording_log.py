@@ -199,6 +199,7 @@ def test_an_angle_within_one_turn_goes_on(tmp_path: Path) -> None:
             r"no column is called like a time; there are: 'x', 'pwm', 'counts'; type --period 10ms.*--time x:UNIT",
         ),
         ("t,millis,pwm,counts\n0,0,1,1\n1,1,1,1\n2,2,1,1\n", 1, "several columns may be the time: 't', 'millis'"),
+        ("0,1\n1,1\n2,1\n", 1, "has 2 columns, and time, drive, position are 3; add what is missing"),
         ("0,1,2,3\n1,1,2,3\n2,1,2,3\n", 1, r"4 columns without names; number them from 1: --time 1:ms --drive 2:pwm"),
         (NAMED.replace("360", "36x"), 3, "column counts: '36x' is not a number; correct or delete this line"),
         (ROWS.replace("360", "36x"), 2, "column 3: '36x' is not a number"),

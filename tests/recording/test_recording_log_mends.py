@@ -8,9 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.log_format import LogColumn, LogFormat, LogFormatError, parse_period
+from rig.run_folder.recording.log_mends import added_up, has_no_sign
 from rig.run_folder.recording.reader import read, read_all
 from rig.run_folder.recording.recording import Floats, Recording
 
@@ -142,8 +145,11 @@ def test_a_drive_an_angle_or_a_velocity_that_comes_back_begins_no_run(tmp_path: 
 def test_a_drive_whose_middle_is_0_V_is_refused_with_what_to_subtract(tmp_path: Path, bench: Bench) -> None:
     """K was twice as large as it is, called exact: full drive is half of the range."""
     path = log_of(tmp_path, {"ms": bench.ms, "pwm": 512.0 + 2.0 * bench.pwm, "counts": bench.counts})
-    with pytest.raises(RecordingError, match=r"evenly about 512, half of 1023.*subtract 512"):
+    with pytest.raises(RecordingError, match=r"evenly about 512, .*subtract 512 .*--full 511"):
         read(path, replace(COUNTED, full=1023))
+    pulses = log_of(tmp_path, {"ms": bench.ms, "pwm": 1500.0 + 3.0 * bench.pwm, "counts": bench.counts})
+    with pytest.raises(RecordingError, match=r"evenly about 1500, .*subtract 1500 .*--full 500"):
+        read(pulses, replace(COUNTED, full=2000))
     # sizes without a sign may lie so, too, and so may a drive of one way
     unsigned = np.where(np.abs(bench.pwm) > 100.0, 155.0, 100.0)
     for counts in (bench.counts, np.cumsum(unsigned)):
@@ -225,10 +231,36 @@ def test_a_velocity_that_wraps_without_a_motor_in_it_is_refused(tmp_path: Path, 
         read(path, SPEED)
 
 
-def test_a_velocity_without_its_sign_is_refused(tmp_path: Path, bench: Bench) -> None:
-    path = log_of(tmp_path, {"ms": bench.ms, "volts": bench.pwm, "vel": np.abs(bench.v_rad_per_s)})
+@pytest.mark.parametrize("rows", [None, 90])
+def test_a_velocity_without_its_sign_is_refused(tmp_path: Path, bench: Bench, rows: int | None) -> None:
+    path = log_of(tmp_path, {"ms": bench.ms[:rows], "volts": bench.pwm[:rows], "vel": np.abs(bench.v_rad_per_s[:rows])})
     with pytest.raises(RecordingError, match="its sign is missing"):
         read(path, SPEED)
+
+
+@given(
+    st.lists(st.tuples(st.floats(-9.0, 9.0), st.integers(1, 30)), min_size=1, max_size=12), st.floats(0.01, 0.5),
+    st.floats(0.0, 2.0),
+)  # fmt: skip
+def test_a_velocity_that_a_brake_never_turns_round_keeps_its_sign(
+    strokes: list[tuple[float, int]], tau_s: float, friction_V: float
+) -> None:
+    u = np.concatenate([np.full(rows, drive) for drive, rows in strokes])
+    v = np.zeros(u.size)
+    for k in range(1, v.size):
+        v[k] = max(0.0, v[k - 1] + (u[k - 1] - friction_V - v[k - 1]) * (1.0 - np.exp(-0.01 / tau_s)))
+    assert not has_no_sign(v, u)
+
+
+@given(st.lists(st.floats(1e-3, 0.1), min_size=22, max_size=200), st.floats(-1e3, 1e3))
+def test_only_times_since_the_row_before_are_added_up(steps: list[float], begins: float) -> None:
+    steps_s, notes = np.array(steps), list[str]()
+    clock = begins + np.cumsum(steps_s)
+    assert added_up(clock, notes) is clock and not notes
+    again = np.concatenate((clock, clock))  # another run
+    assert added_up(again, notes) is again and not notes
+    if np.mean(np.diff(steps_s) < 0.0) > 0.2:
+        assert np.diff(added_up(steps_s, notes)) == pytest.approx(steps_s[1:]) and notes
 
 
 def test_a_velocity_that_is_held_over_rows_is_read_where_it_is_new_and_keeps_each_drive(

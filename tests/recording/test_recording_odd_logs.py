@@ -48,9 +48,14 @@ def test_logs_that_are_read_as_they_are(tmp_path: Path) -> None:
         log("t_s;u_V;y_rad;", ";", row="{t:.2f};{u};{y:.4f};"),
         decimal,
         decimal.replace(";", "|"),
+        log("t_s,u_V,y_rad", row='"{t:.2f}";"{u}";"{y:.4f}"').replace(".", ",").replace(";", ","),
         log("t_s,u_V,y_rad").replace("\n0.10", "\n\n\n0.10"),
         "sep=;\n" + log("t_s;u_V;y_rad", ";"),
         log("t_s,u_V,y_rad\n(s),(V),(rad)"),
+        log("t_s,u_V,y_rad").replace("-", "\N{MINUS SIGN}"),
+        log("t_s,u_V,y_rad", row="({t:.2f}, {u}, {y:.4f})"),
+        log("t_s,u_V,y_rad", row="[{t:.2f}, {u}, {y:.4f}],"),
+        log("t_s u_V y_rad", " ", row=" [{t:.2f}  {u}  {y:.4f}]"),
     ):
         path = tmp_path / "log.csv"
         path.write_text(text, newline="")
@@ -87,6 +92,12 @@ ODD = {  # for each: the log, what the error says, what to type by it
     "a plotter's labels": (
         log("", row="ms:{k}0,pwm:{u},rad:{y:.4f}"), "did you mean", "--time ms --drive pwm --position rad"
     ),
+    "camel case": (log("timeMs,motorPwm,angleDeg", row="{k}0,{u},{y:.4f}"), "did you mean",
+        "--time ms --drive pwm --position deg"),
+    "dates beside decimal commas": (
+        log("Zeit;Spannung (V);Winkel (Grad)", ";").replace(".", ",").replace("\n0,", "\n30.11.2026 07:30:00,"),
+        "did you mean", "--time Zeit:s --drive V --position deg",
+    ),
     "a speed in turns": (log("t_s,u_V,speed_rev_s"), "of velocity rad/s", "--velocity speed_rev_s:UNIT"),
     "a speed": (log("t [s],u [V],omega [rad/s]"), "no column", "--time s --drive V --velocity rad/s"),
 }  # fmt: skip
@@ -115,16 +126,26 @@ def test_an_odd_log_is_refused_with_options_that_read_it(tmp_path: Path, name: s
         (log("t_s,current_A,y_rad"), "--drive current_A:V", "a current is a torque"),
         (log("t_s,current_A,y_rad"), "--drive current_A", "a current is a torque"),
         (log("t_s,i_mA,y_rad"), "--drive V", "a current is a torque"),
+        (log("time,torque,position"), "", "a current is a torque"),
         (log("Zeit;Strom (A);Winkel", ";"), "", "a current is a torque"),
         (log("t_s,drive,y_rad\ns,A,rad"), "--drive V", "a current is a torque"),
         (log("t_s,u_V,y_rad\ns,A,rad"), "", "a current is a torque"),
         (log("t_s,u_V,y_rad", row="{t:.2f},33%,{y:.4f}"), "", "sed 's/%//g'"),
         (log("t_s,u_V,y_rad", row="{t:.2f},1.5 V,{y:.4f}"), "", "the number alone, without V"),
+        (log("t_s,u_V,y_rad", row="{t:.2f},28.фев,{y:.4f}"), "", "a spreadsheet took a number such as 28.2 for a date"),
+        (log("t_s,u_V,y_rad", row="{t:.2f},2-Apr,{y:.4f}"), "", "a spreadsheet took a number such as 28.2 for a date"),
         (log("t_s,u_V,y_rad", row="{t:.2f};{u};{y:.4f}"), "", "the names stand between ',', and the rows between ';'"),
         (
             log("t_s,u_V,y_rad", row="{k},1,5,0,3"),
             "",
             "if decimal commas stand between commas, save it with semicolons",
+        ),
+        (log("    1.0e+03 *", row="  {t:.4f}  {u}  {y:.4f}"), "", "all numbers are to be taken times this, 1.0e+03 *"),
+        (log("t_s,duty,y_rad", row="{t:.2f},{u}e-1,{y:.4f}"), "--drive duty:percent --supply-V 12", "COLUMN:duty"),
+        (
+            log("", row="{u}90;{t};{y}"),
+            "--time s --drive percent --supply-V 8 --position rad",
+            "number them: --time 1:s",
         ),
         (log("", row="2026-01-02 03:04:05.{k:02d},{u},{y:.4f}"), "", "--period 10ms --drive pwm --position counts"),
         (log("t_s,u_V,y_rad", row=""), "", "has 0 rows; record at least 3"),
@@ -156,6 +177,15 @@ def test_a_second_table_with_other_names_is_refused_and_no_restart_is_one(tmp_pa
             read(path)
     path.write_text("\n".join([*rows[:15], "boot", rows[0], *rows[15:], ""]))
     assert whole(read(path))
+
+
+def test_a_log_of_several_motors_in_turn_is_refused_with_a_command_that_keeps_one(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("t_s,id,u_V,y_rad\n" + log("", row="{t:.2f},7,{u},{y:.4f}\n{t:.2f},8,1,0.5"))
+    with pytest.raises(RecordingError, match="'id' says 2 things at each time") as caught:
+        read(path, LogFormat())
+    subprocess.run(caught.value.cure.partition(": ")[2], shell=True, check=True, cwd=tmp_path)
+    assert whole(read(tmp_path / "one.csv", LogFormat()))
 
 
 def test_labels_may_change_their_order(tmp_path: Path) -> None:
@@ -259,6 +289,9 @@ def test_units_that_a_name_says() -> None:
         ("counts per second", "position", set()),
         ("Drehzahl (U/min)", "velocity", {"rpm"}),
         ("Winkel [°]", "position", {"deg"}),
+        ("angleDeg", "position", {"deg"}),
+        ("mV", "drive", {"mV"}),
+        ("RPM", "velocity", {"rpm"}),
     ):
         assert units_said(name, quantity) == units, name
 

@@ -151,7 +151,8 @@ def _lacking(text: CsvText, names: Sequence[str], missing: Sequence[str]) -> Rec
     guesses = {name: guess for name in missing if (guess := _did_you_mean(name, own[name], names))}
     cause, line_number = f"has no column {', '.join(missing)}; there are: {there}", text.line
     currents = [name for name, unit in _with_units(names, text.units) if says_current(name, unit)]
-    if "u_V" in missing and "u_V" not in guesses and currents:
+    drives = [name for name in names if name not in currents and sounds_like(name, "drive")]
+    if "u_V" in missing and "u_V" not in guesses and currents and not drives:
         return RecordingError(text.path, f"column {shown(currents[0])}: {CURRENT_CAUSE}", CURRENT_CURE, line_number)
     first_row = text.fields(text.rows[0]) if text.rows else []
     dates = "t_s" in guesses and any(map(is_date, first_row[names.index(guesses["t_s"]) :][:1]))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -40,6 +40,11 @@ MAX_STAGE_LENGTH: Final = 64
 _MAX_INTEGER: Final = 2.0**53  # a float cannot hold every integer beyond
 _ROWS_AT_ONCE: Final = 4096
 _WITH_UNIT: Final = re.compile(r"([+-]?[0-9.]+(e[+-]?[0-9]+)?)\s*([^\W\d_]+|%|°)", re.IGNORECASE)
+_MADE_A_DATE: Final = re.compile(r"\d{1,2}[-./ ]{1,2}[^\W\d_]{3,}\.?|[^\W\d_]{3,}[-./ ]{1,2}\d{1,2}")
+_FIRST_LINES: Final = 100  # a factor of all numbers stands in these
+_FACTOR: Final = re.compile(r"\s*\d\.\d+e[+-]\d+\s*\*\s*")
+_QUOTED: Final = re.compile('"[^"]*"')
+_ALL: Final = re.compile(".+")
 _FEWEST_COLUMNS: Final = 3
 _FEW: Final = 0.01  # share of rows that may lack a number, and are left out
 EVENTS: Final = 0.5  # share of rows without a drive, from which on it was written where it changed
@@ -100,6 +105,12 @@ class CsvText:
         notes = [*notes, *encoded, *torn]
         lines = lines_of(path, whole)
         found = None if own else table_in(lines)
+        factor = next((k for k, line in enumerate(lines[:_FIRST_LINES], 1) if _FACTOR.fullmatch(line)), 0)
+        if factor and not own:
+            cause = (
+                f"all numbers are to be taken times this, {lines[factor - 1].strip()}: they are rounded for a screen"
+            )
+            raise RecordingError(path, cause, "save them in full, in MATLAB: writematrix(data, 'log.csv')", factor)
         if found is not None and found.other:
             cause = f"the line names other columns than line {found.line}: another table begins"
             raise RecordingError(path, cause, "cut the file here: each table is a file of its own", found.other)
@@ -134,10 +145,13 @@ class CsvText:
         ]
 
     def with_decimal_points(self) -> CsvText:
-        """With decimal commas as decimal points, and a note, if no comma separates columns and no row has a point."""
-        if self.delimiter == "," or not _has_decimal_commas(self.lines, self.rows):
+        """With decimal commas as decimal points, and a note, if fields have commas, in quotes or not, and no points."""
+        of_commas = self.delimiter == ","
+        may = [number for number in self.rows if not of_commas or '"' in self.lines[number - 1]]
+        if not _has_decimal_commas(map(self.fields, may)):
             return self
-        lines = [line.replace(",", ".") for line in self.lines]
+        within = _QUOTED if of_commas else _ALL
+        lines = [within.sub(lambda found: found[0].replace(",", "."), line) for line in self.lines]
         return replace(self, lines=lines, notes=(*self.notes, "decimal commas were read as decimal points"))
 
 
@@ -258,25 +272,28 @@ def _check_magic(path: Path, content: bytes) -> None:
             raise RecordingError(path, cause, cure.format(path=quote(str(path))))
 
 
-def _has_decimal_commas(lines: Sequence[str], numbers: Sequence[int]) -> bool:
-    """Whether numbers have decimal commas: no comma separates the columns, and rows have commas but no points."""
+def _has_decimal_commas(rows: Iterable[Sequence[str]]) -> bool:
+    """Whether numbers have decimal commas: fields have commas, but no points; dates and times of day may."""
     commas = False
-    for number in numbers:
-        if "." in lines[number - 1]:
+    for field in (field for row in rows for field in row if not is_date(field)):
+        if "." in field:
             return False
-        commas = commas or "," in lines[number - 1]
+        commas = commas or "," in field
     return commas
 
 
 def _in_utf8(content: bytes) -> tuple[bytes, list[str]]:
-    """The content of a log in UTF-8, and a note where it was not. Only its names can have other letters."""
+    """The content of a log in UTF-8, minus signs as ASCII has them; a note where it was not UTF-8.
+
+    Only its names can have other letters.
+    """
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         return content.decode("utf-16", "replace").encode(), ["it was read as UTF-16"]
     try:
         content.decode("utf-8-sig")
     except UnicodeDecodeError:
         return content.decode("latin-1").encode(), ["it is not UTF-8: its names were read as Latin-1"]
-    return content, []
+    return content.replace("\N{MINUS SIGN}".encode(), b"-"), []
 
 
 def _delimiter(first: str) -> str:
@@ -404,4 +421,6 @@ def _cure(path: Path, name: str, text: str) -> str:
         return f"write the number alone, without {found[3]}"
     if "," in text and is_number(text.replace(",", ".")):
         return "use a decimal point"
+    if _MADE_A_DATE.fullmatch(text):
+        return "a spreadsheet took a number such as 28.2 for a date: give the log as it was, or import it as text"
     return "correct or delete this line"

@@ -6,7 +6,8 @@ For any content of the file the result is a ``Recording``, or a ``RecordingError
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from shlex import quote
@@ -24,11 +25,11 @@ from rig.run_folder.recording.log_format import (
     LARGEST,
     OWN_NAMES,
     UNITS,
+    USUAL_NAMES,
     USUAL_SUPPLY,
     LogColumn,
     LogFormat,
     says_current,
-    sounds_like,
     units_of_column,
     units_said,
     usual_places,
@@ -45,6 +46,8 @@ _SIGNED = 0.05  # of the largest drive: a smaller negative one may be noise of a
 # Of a drive whose middle is 0 V: of full drive, how far that is from the half; of all motion, the way back; and how
 # drive and motion are correlated
 _HALF, _TO_AND_FRO, _TURNS = 0.02, 0.1, 0.4
+_PULSE_US = 1500.0  # middle of the pulses for a servo or a motor's controller, us
+_NO_DUTY = 100.0  # a full drive that is so large is none of a duty
 _OVER = 1.001  # of full drive: what rounding may show
 _FULL: Final = (255, 1023, 4095, 65535)  # usual numbers for full drive
 
@@ -90,11 +93,15 @@ def read_log(path: Path, log: LogFormat) -> list[Recording]:
     notes = [*text_notes, _taken({q: called[place] for q, place in places.items()}, log)]
     if log.period_s is not None:
         raw["t_s"] = np.searchsorted(sorted([*text.rows, *text.torn]), rows).astype(np.float64)
+    if log.run is None and log.period_s is None:
+        _refuse_several(text, rows, raw["t_s"], set(range(len(first))) - set(places.values()))
     supply_V = log.supply_V
+    guessed = [] if has_names or any(one.column is not None for one in choices.values()) else [_numbered(choices)]
     if log.servo is None:
         if log.direction is None and "y_rad" in raw:
             _refuse_middle(path, raw["u_V"], raw["y_rad"], log.most(choices["drive"].unit), rows)
-        raw["u_V"] = _drive_V(path, raw["u_V"], choices["drive"], log, rows, notes)
+        with _or_numbered(*guessed):
+            raw["u_V"] = _drive_V(path, raw["u_V"], choices["drive"], log, rows, notes)
         if log.direction is not None:
             words = _words(path, text, text.line if has_names else None, rows, "direction", log.direction)
             ways = _ways(path, words, raw["u_V"], log.direction, rows, notes)
@@ -107,18 +114,25 @@ def read_log(path: Path, log: LogFormat) -> list[Recording]:
         source = path if len(runs) == 1 else path.with_name(f"{path.name} (run {number} of {len(runs)})")
         heard = notes if number == 1 else []
         own = {name: values[run] for name, values in raw.items()}
-        try:
-            lines = [rows[k] for k in run]
+        lines = [rows[k] for k in run]
+        with _or_numbered(*guessed):
             if log.servo is not None and supply_V is not None:
                 recordings.append(_of_servo(source, own, lines, log, supply_V, heard))
             else:
                 recordings.append(_recording(source, own, lines, log, heard))
-        except RecordingError as error:
-            if has_names or any(one.column is not None for one in choices.values()):
-                raise
-            cure = f"{error.cure}; or, if the columns have another order, number them: {_numbered(choices)}"
-            raise RecordingError(path, error.cause, cure, error.line) from error
     return recordings
+
+
+@contextmanager
+def _or_numbered(*numbered: str) -> Iterator[None]:
+    """Errors inside say this, too, if there is something: how to number columns whose order was taken for granted."""
+    try:
+        yield
+    except RecordingError as error:
+        if not numbered:
+            raise
+        cure = f"{error.cure}; or, if the columns have another order, number them: {' '.join(numbered)}"
+        raise RecordingError(error.path, error.cause, cure, error.line) from error
 
 
 def _recording(source: Path, raw: Columns, rows: Sequence[int], log: LogFormat, notes: Sequence[str]) -> Recording:
@@ -127,7 +141,7 @@ def _recording(source: Path, raw: Columns, rows: Sequence[int], log: LogFormat, 
     raw = _in_place(log_mends.once(raw | {"line": np.array(rows)}, notes), log)
     rows = raw.pop("line").tolist()
     raw, rows = log_mends.in_order(raw | {"t_s": _times_s(raw, log, notes)}, rows, notes)
-    t_s, u_V = raw["t_s"], raw["u_V"]
+    t_s, u_V = log_mends.added_up(raw["t_s"], notes), raw["u_V"]
     require_rising(source, t_s, rows)
     reads: Reads = "angle"
     steps = None
@@ -296,13 +310,39 @@ def _drive_V(path: Path, u: Floats, one: LogColumn, log: LogFormat, rows: Sequen
             f"{cure}; or, if this is a command that the bridge limits, log what the bridge gave",
             rows[k],
         )
+    largest = float(np.abs(u).max())
+    if most is not None and most >= _NO_DUTY and largest <= 1.0 and u.size >= _FEWEST_ROWS and np.any(u != np.round(u)):
+        cause = f"the drive is a fraction, at most {largest:g}, and in {one.unit} full drive is {most:g}"
+        raise RecordingError(path, cause, "give the unit that it is in, such as --drive COLUMN:duty", rows[0])
     return np.asarray(log.scale("drive", one.unit) * u)
 
 
+def _refuse_several(text: CsvText, rows: Sequence[int], t: Floats, others: set[int]) -> None:
+    """Refuse a log in which each time stands in several rows, and another column tells these apart: several motors."""
+    each = int(np.argmax(np.diff(t, append=np.inf) != 0.0)) + 1
+    if each == 1 or t.size < 2 * each or np.any(np.diff(t[: t.size // each * each].reshape(-1, each)) != 0.0):
+        return
+    seen = [text.fields(row) for row in rows[: 3 * each]]
+    for k in sorted(others):
+        words = [fields[k] for fields in seen]
+        if len(set(words[:each])) == each and all(word == words[n % each] for n, word in enumerate(words)):
+            called = shown(text.names[k]) if text.names else str(k + 1)
+            above, mark = text.line - (0 if text.names else 1), text.delimiter
+            kept = words[0] if is_number(words[0]) else f'"{words[0]}"'
+            one = quote(f"NR <= {above} || ${k + 1} == {kept}")
+            raise RecordingError(
+                text.path, f"column {called} says {each} things at each time: {each} motors in turn, or more",
+                f"keep one of them: awk -F {quote(mark)} {one} {quote(str(text.path))} > one.csv", rows[0],
+            )  # fmt: skip
+
+
 def _refuse_middle(path: Path, u: Floats, y: Floats, full: float | None, rows: Sequence[int]) -> None:
-    """Refuse a drive that lies evenly about half of full drive, is never near 0, and turns the shaft to and fro."""
+    """Refuse a drive evenly about half of full drive, or 1500 us of a pulse, never near 0, that turns both ways."""
     middle = 0.5 * (float(u.min()) + float(u.max()))
-    if full is None or u.size < _FEWEST_ROWS or u.min() < _SIGNED * full or abs(middle - 0.5 * full) > _HALF * full:
+    if full is None or u.size < _FEWEST_ROWS or u.min() < _SIGNED * full:
+        return
+    zeros = (0.5 * full, _PULSE_US) if _PULSE_US < full < 2.0 * _PULSE_US else (0.5 * full,)
+    if all(abs(middle - zero) > _HALF * full for zero in zeros):
         return
     moved = np.diff(y)
     moved = np.where(np.isfinite(moved), moved, 0.0)
@@ -310,8 +350,8 @@ def _refuse_middle(path: Path, u: Floats, y: Floats, full: float | None, rows: S
     away = float(np.hypot.reduce(u[:-1] - middle) * np.hypot.reduce(moved))
     if to_and_fro > _TO_AND_FRO * float(np.abs(moved).sum()) and abs(float((u[:-1] - middle) @ moved)) > _TURNS * away:
         raise RecordingError(
-            path, f"the drive lies evenly about {middle:g}, half of {full:g}, and turns the shaft both ways: its 0 V",
-            f"subtract {middle:g} from it, and say that half as full drive", rows[0],
+            path, f"the drive lies evenly about {middle:g}, and turns the shaft both ways: that is its 0 V",
+            f"subtract {middle:g} from it, and say what is left at full drive: --full {abs(full - middle):g}", rows[0],
         )  # fmt: skip
 
 
@@ -439,6 +479,10 @@ def _places(
     """The place of each quantity's column, from 0. Raises RecordingError."""
     if not has_names and all(one.column is None for one in choices.values()) and len(first) == len(choices):
         return {quantity: k for k, quantity in enumerate(choices)}
+    if len(first) < len(choices):
+        cause = f"has {len(first)} columns, and {', '.join(choices)} are {len(choices)}"
+        cure = "add what is missing: a drive that stayed as it was is a column, too"
+        raise RecordingError(path, cause, cure, line)
     places: dict[str, int] = {}
     # columns that are named come first: others are looked for among what is left
     for quantity, one in sorted(choices.items(), key=lambda item: item[1].column is None):
@@ -492,7 +536,7 @@ def _usual_place(path: Path, line: int, first: Sequence[str], quantity: str, one
 
 def _say_which(quantity: str, names: Sequence[str]) -> str:
     """What to type to name a column."""
-    usual = [name for name in names if sounds_like(name, quantity)]
+    usual = [name for name in names if any(len(word) > 1 and word in USUAL_NAMES[quantity] for word in words_of(name))]
     name = next((name for name in (*usual, *names) if name), "1")
     named, units = quote(f"{name}:UNIT"), ", ".join(UNITS[quantity])
     cure = f"say which, for example --{quantity} {named}, with one of the units {units}"

@@ -78,13 +78,15 @@ ALL_UNITS: Final = {
     *["%", "°", "°/s", "a", "ma", "u/min", "tr/min", "1/min", "min-1", "rev/min", "rev/s", "u/s", "tr/s"],
 }
 """What a field of a row of units may say, in small letters."""
-_WORD: Final = re.compile(r"[^\W\d_]+")
+_WORD: Final = re.compile(r"[^\W\d_]+?(?:(?<=[a-z][a-z])(?=[A-Z])|(?![^\W\d_]))")  # of "leftSpeed": left, Speed
 _RATE: Final = re.compile(r"/\s*(s|sec|min)\b|(?<![^\W_])per(?![^\W_])", re.IGNORECASE)  # in a velocity's name
 _PERIOD: Final = re.compile(r"\s*([0-9.eE+-]+)\s*(s|ms|us|ns)\s*")
 _CURRENTS: Final = ("A", "mA")
 CURRENT_CAUSE: Final = "a current is a torque: under it a motor has no K, and no tau of its own"
 CURRENT_CURE: Final = "log the voltage at the motor, or the bridge's duty"
-_CURRENT_WORDS: Final = {"amps", "ampere", "amperes", "strom", "motorstrom", "courant", "corriente", "corrente"}
+_CURRENT_WORDS: Final = {
+    "amps", "ampere", "amperes", "strom", "motorstrom", "courant", "corriente", "corrente", "torque", "drehmoment",
+}  # fmt: skip
 MOST_ROWS_OFF: Final = 5
 LARGEST: Final = 1e19  # number in a log, above nanoseconds since 1970
 OWN_NAMES: Final = {"time": "t_s", "drive": "u_V", "position": "y_rad", "velocity": "v_rad_per_s", "goal": "yd_rad"}
@@ -128,7 +130,7 @@ def usual_places(names: Sequence[str], quantity: str, unit: str) -> list[int]:
 
 
 def says_current(name: str, of_row: str = "") -> bool:
-    """Whether a column is a current, by its name or by its field in a row of units."""
+    """Whether a column is a current, or a torque, by its name or by its field in a row of units."""
     words = [word for word in _WORD.findall(name) if word.lower() not in ("a", "ma")]
     ampere = re.search(r"[(\[]\s*m?A\s*[)\]]|(?<![^\W_])mA(?![^\W_])|^[iI]_?A$", name)
     spoken = {word.lower() for word in words} & _CURRENT_WORDS or words[-1:] in (["current"], ["Current"])

@@ -29,6 +29,7 @@ _STAMP: Final = re.compile(
 )
 _EPOCH: Final = date(2000, 1, 1).toordinal()
 _MONITOR: Final = re.compile(r"\s*\d\d?:\d\d:\d\d[.,]\d+\s*->\s?")  # what a serial monitor puts before a line
+_BRACKETED: Final = re.compile(r"\s*[\[(]+[^\[\](){}]+[\])]+,?\s*")  # as Python prints a list, a tuple or an array
 _NAMED: Final = re.compile(r'"?([^\W\d][^":=,;{}]*?)"?\s*[:=]\s*"?([-+.\w]*)"?\s*(?:[,;\s}]+|$)')
 _MOSTLY: Final = 0.5  # share of rows that have a number in a column of numbers
 _LOOKED_AT: Final = 200  # lines, from all over the text, that tell what a row is
@@ -251,11 +252,13 @@ def _shape_of(lines: Sequence[str]) -> _Shape | None:
 
 
 def _plain(lines: Sequence[str]) -> tuple[Sequence[str], tuple[str, ...]]:
-    """The lines without the times of a serial monitor, and, where each number has its name before it, these names."""
+    """The lines without brackets or the times of a monitor; where each number has its name before it, these names."""
     written = [line for line in lines if line.strip()]
     looked_at = written[:: max(1, len(written) // _LOOKED_AT)]
     if 2 * sum(_MONITOR.match(line) is not None for line in looked_at) > len(looked_at):
         lines, looked_at = ([_MONITOR.sub("", line) for line in some] for some in (lines, looked_at))
+    if 2 * sum(_BRACKETED.fullmatch(line) is not None for line in looked_at) > len(looked_at):
+        return [line.strip(" []()\t\r").rstrip("]),") if _BRACKETED.fullmatch(line) else line for line in lines], ()
     labels = Counter(names for line in looked_at if len(names := _named(line)[0]) >= _FEWEST_NUMBERS)
     names, times = labels.most_common(1)[0] if labels else ((), 0)
     if 2 * times <= len(looked_at):

@@ -35,6 +35,7 @@ _WRAP_PERIODS = 3.0  # longest step over the end of a clock
 _FEWEST_ROWS = 22  # of a run in a file of several: fewer are rows out of order
 _COUNTS, _JUMPS = 0.9, 1.3  # share of rows in which a counter of rows rises; of the largest other bend, a jump back
 _FAR_ROWS = 5  # that rows out of order may be from their place
+_FALLS = 0.2  # share of rows in which the time since the row before is shorter than that of the row before
 _BEGINS_PERIODS = 3.0  # from the first run's time: where another run begins
 _FEWEST_HELD, _HELD = 20, 0.97  # changes of a velocity, and the share at whole multiples of rows, for it to be held
 _ARX_ROUNDS, _SURE = 20, 0.4  # rounds of a wrapped velocity; of its range, the largest error of what is expected
@@ -96,6 +97,17 @@ def once(raw: Columns, notes: list[str]) -> Columns:
         return raw
     notes.append(f"{np.count_nonzero(again)} rows say the one before again, time included, and were left out")
     return {name: values[kept] for name, values in raw.items()}
+
+
+def added_up(t: Floats, notes: list[str]) -> Floats:
+    """Times that each say how long after the row before a row came, as times; with a note. Else as they are.
+
+    No clock of rows in order goes back so often.
+    """
+    if t.size < _FEWEST_ROWS or t[1:].min() <= 0.0 or float(np.mean(np.diff(t) < 0.0)) < _FALLS:
+        return t
+    notes.append("each time is that since the row before: they were added up")
+    return np.asarray(np.cumsum(t))
 
 
 def runs_of(t: Floats) -> list[slice]:
@@ -337,13 +349,12 @@ def _rounded_step(moved: Floats, rounded: Floats) -> float | None:
 
 
 def has_no_sign(v: Floats, u: Floats) -> bool:
-    """Whether a velocity is a mere size: it is as large at the ends of negative strokes as of positive ones.
-
-    For drives of both signs, with at least three strokes of each.
-    """
+    """Whether a velocity is a mere size: it rises from 0 in strokes of a negative drive as it does in positive ones."""
     if v.min() < 0.0 or u.min() >= 0.0 or u.max() <= 0.0:
         return False
     sign = np.sign(u)
-    ends = np.flatnonzero((np.diff(sign) != 0.0) & (sign[:-1] != 0.0))
-    forth, back = (v[ends][sign[ends] == way] for way in (1.0, -1.0))
-    return min(forth.size, back.size) >= 3 and float(np.median(back)) > 0.5 * float(np.median(forth)) > 0.0
+    turns = np.flatnonzero(np.diff(sign, append=0.0))
+    strokes = [(first, last) for first, last in pairwise([-1, *turns.tolist()]) if sign[last] != 0.0]
+    rises = np.array([v[last] - 2.0 * v[first + 1 : last + 1].min() for first, last in strokes])
+    forth, back = (float(np.median(rises[[sign[last] == way for _, last in strokes]])) for way in (1.0, -1.0))
+    return back > 0.5 * forth > 0.0
