@@ -30,6 +30,7 @@ from rig.identification.departures.profile import Profile
 from rig.identification.identification import Identification, other_times_explain
 from rig.identification.stated_errors import CLOCK_ERROR, ScaleErrors, StatedErrors
 from rig.model.real_motor import RealMotor
+from rig.output.text import law_causes
 from rig.run_folder.recording.recording import from_columns
 from rig.run_folder.recording.series import TimeSeries
 from rig.run_folder.results import RunMeta, SensorBelieved, SupplyBelieved
@@ -304,7 +305,8 @@ def test_ok_bears_one_percent_of_an_improbable_law_that_would_break_its_promise(
     [("level_each", "all of it in one recording"), ("drift_each", "one long recording after the bench has warmed up")],
 )
 def test_laws_that_are_not_told_apart_are_said_though_one_is_of_each_recording(law_of_each: str, told_by: str) -> None:
-    """It was an exception, and no answer."""
+    """It was an exception, and no answer; and an answer named the law in no words."""
+    assert law_of_each in law_causes()
     law = two_amplitudes().motor_law
     assert law is not None
     notes = replace(law, not_told_apart=((law_of_each, "dead_band"),)).notes()

@@ -359,7 +359,7 @@ def _ways(
     """
     back = ("R", "B", "-", "CC")  # reverse, backward
     words = np.array([f"{float(word) + 0.0:g}" if is_number(word) else word for word in words.tolist()])
-    lacks, drives = np.isin(words, ("", "nan")), u_V != 0.0
+    lacks, drives = np.isin(words, ("", "nan")), (u_V != 0.0) | (not np.any(u_V))
     if float(np.mean(lacks)) > EVENTS:
         words = words[np.maximum.accumulate(np.where(lacks, 0, np.arange(words.size)))]
         lacks = np.isin(words, ("", "nan"))
