@@ -300,6 +300,14 @@ def test_ok_bears_one_percent_of_an_improbable_law_that_would_break_its_promise(
         assert "dead band of the drive, which these tests do not exclude; record " in reason
 
 
+def test_a_plain_estimate_that_is_off_by_a_fit_in_pieces_which_is_refused_is_not_said_to_be_from_it() -> None:
+    law, plain = two_amplitudes().motor_law, two_amplitudes().estimates["sampled-data"]
+    assert law is not None and not law.found
+    pieces = replace(plain, K_rad_s_V=3.0 * plain.K_rad_s_V, verdict="refused")
+    said = replace(law, estimate=pieces).instead_of(plain, 1.0)
+    assert said is not None and said.endswith("by all records in pieces: and that fit is refused")
+
+
 @pytest.mark.parametrize(
     ("law_of_each", "told_by"),
     [("level_each", "all of it in one recording"), ("drift_each", "one long recording after the bench has warmed up")],
