@@ -14,7 +14,6 @@ from rig.output.report.budget import budget_in_words
 from rig.output.report.source import PREFERRED, ReportedRun
 from rig.output.report.style import short
 from rig.output.report.words import PARAMETERS, Quantity, quantity, rounded
-from rig.output.text import law_causes
 from rig.run_folder.results import Quantiles, TrackingResult, TrueLaw, known
 from rig.run_folder.results.answer_words import records_in_words
 from rig.run_folder.results.budget_lines import BudgetLine
@@ -107,7 +106,7 @@ def _stage_row(stage: str, values: Sequence[float | None]) -> Row:
 
 def motor_law(run: ReportedRun) -> list[MotorLawRow]:
     """The laws that the motor has beyond the plain one."""
-    causes = law_causes()
+    causes = {law.name: (law.title, law.cause) for law in BY_NAME.values()}
     groups = {group[0]: group[1:] for group in run.result.not_told_apart or () if group}
     truth = {law.name: law for law in run.true_laws or ()}
     rows = []
