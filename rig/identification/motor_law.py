@@ -208,7 +208,8 @@ class MotorLaw:
         is_off = off[name] > ASKED
         share = f"{TITLES[name]} is {in_percent(off[name])} off"
         if not self.found:
-            return f"{share}, by all records in pieces: the answer is from these" if is_off else None
+            which = "and that fit is refused" if self.estimate.verdict == "refused" else "the answer is from these"
+            return f"{share}, by all records in pieces: {which}" if is_off else None
         if not is_off and not (self.explains and estimate.verdict != "ok"):
             return None
         laws, them = _listed(one.law.title for one in self.found), "them" if len(self.found) > 1 else "it"

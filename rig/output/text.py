@@ -45,9 +45,9 @@ def comparison_words(found: ComparisonResult) -> list[str]:
 
 def law_causes() -> dict[str, tuple[str, str]]:
     """For each law of a motor by its name: its title, and what it may come from."""
-    from rig.identification.departures import DEPARTURES
+    from rig.identification.departures import BY_NAME
 
-    return {law.name: (law.title, law.cause) for law in DEPARTURES}
+    return {law.name: (law.title, law.cause) for law in BY_NAME.values()}
 
 
 def motor_law_rows(result: IdentificationResult) -> list[list[str]]:

@@ -31,6 +31,7 @@ from rig.identification.identification import Identification, other_times_explai
 from rig.identification.model_error import TIMES
 from rig.identification.stated_errors import CLOCK_ERROR, ScaleErrors, StatedErrors
 from rig.model.real_motor import RealMotor
+from rig.output.text import law_causes
 from rig.run_folder.recording.recording import from_columns
 from rig.run_folder.recording.series import TimeSeries
 from rig.run_folder.results import RunMeta, SensorBelieved, SupplyBelieved
@@ -315,12 +316,21 @@ def test_ok_bears_one_percent_of_an_improbable_law_that_would_break_its_promise(
         assert "dead band of the drive, which these tests do not exclude; record " in reason
 
 
+def test_a_plain_estimate_that_is_off_by_a_fit_in_pieces_which_is_refused_is_not_said_to_be_from_it() -> None:
+    law, plain = two_amplitudes().motor_law, two_amplitudes().estimates["sampled-data"]
+    assert law is not None and not law.found
+    pieces = replace(plain, K_rad_s_V=3.0 * plain.K_rad_s_V, verdict="refused")
+    said = replace(law, estimate=pieces).instead_of(plain, 1.0)
+    assert said is not None and said.endswith("by all records in pieces: and that fit is refused")
+
+
 @pytest.mark.parametrize(
     ("law_of_each", "told_by"),
     [("level_each", "all of it in one recording"), ("drift_each", "one long recording after the bench has warmed up")],
 )
 def test_laws_that_are_not_told_apart_are_said_though_one_is_of_each_recording(law_of_each: str, told_by: str) -> None:
-    """It was an exception, and no answer."""
+    """It was an exception, and no answer; and an answer named the law in no words."""
+    assert law_of_each in law_causes()
     law = two_amplitudes().motor_law
     assert law is not None
     notes = replace(law, not_told_apart=((law_of_each, "dead_band"),)).notes()

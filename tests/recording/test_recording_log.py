@@ -140,6 +140,15 @@ def test_a_unit_that_is_left_out_is_that_of_samples_csv(tmp_path: Path) -> None:
         parse(tmp_path, "t,u_V,angle\n0,1,0\n1,1,180\n2,1,90\n", log)
 
 
+def test_what_the_link_still_held_of_another_run_is_left_out(tmp_path: Path) -> None:
+    """Of a published log it is the first row: 1.074 s, then 0.008 s."""
+    log = LogFormat(LogColumn("s"), LogColumn("V"), LogColumn("rad"))
+    rows = "".join(f"{0.008 + 0.01 * k:.3f},1,{k}\n" for k in range(40))
+    recording = parse(tmp_path, f"1.074,0,9\n{rows}", log)
+    assert recording.y_rad.tolist() == list(range(40))
+    assert any("1 rows before it were left out" in note for note in recording.notes)
+
+
 def test_a_velocity_from_a_counter_gives_back_its_counts(tmp_path: Path) -> None:
     """Differences of counts over time, as a sketch has them, rounded, with rows that come at uneven times."""
     rng = np.random.default_rng(2)

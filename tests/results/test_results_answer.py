@@ -75,11 +75,13 @@ def test_one_rule_chooses(leading: str | None, with_laws: str | None, others: di
     if leading is not None:
         estimates["sampled-data"] = one(0.1, leading)
     laws = None if with_laws is None else one(0.2, with_laws)
-    answer = answer_of(estimates, laws, (LAW,), None, {"tau_s": 0.01})
+    grade = {"tau_s": GradedNumber(value=0.2, u95=0.01, grade="good")}
+    answer = answer_of(estimates, laws, (LAW,), None, {"tau_s": 0.01}, grade=grade)
     assert answer is not None and answer.tau_s == names[expected]
     assert answer.method == ("sampled-data" if expected in ("plain", "laws") else expected)
     if laws is not None and expected != "laws":
         assert answer.law == () and answer.u95 is None  # laws and u95 are those of the refused one
+        assert answer.grade is not None and {one.grade for one in answer.grade.values()} == {"not known"}
     else:
         assert answer.law == (LAW,) and answer.u95 == {"tau_s": 0.01}
 

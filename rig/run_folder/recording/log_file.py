@@ -368,6 +368,10 @@ def _runs(
         second = 1.0 if log.time is None else 1.0 / log.scale("time", log.time.unit)
         times = log_mends.unwrapped_clock(raw["t_s"], motion, second, [])
         runs = log_mends.runs_of(times)
+        if log.time_row:  # the first time is another row's
+            runs[0] = slice(0, runs[0].stop)
+        elif (gone := runs[0].start) > 0:
+            notes.append(f"the time begins anew in line {rows[gone]}: {gone} rows before it were left out")
     else:
         position = raw.get(
             "y_rad", np.full(len(rows), np.nan)
@@ -398,7 +402,7 @@ def _ways(
     """
     back = ("R", "B", "-", "CC")  # reverse, backward
     words = np.array([f"{float(word) + 0.0:g}" if is_number(word) else word for word in words.tolist()])
-    lacks, drives = np.isin(words, ("", "nan")), u_V != 0.0
+    lacks, drives = np.isin(words, ("", "nan")), (u_V != 0.0) | (not np.any(u_V))
     if float(np.mean(lacks)) > EVENTS:
         words = words[np.maximum.accumulate(np.where(lacks, 0, np.arange(words.size)))]
         lacks = np.isin(words, ("", "nan"))

@@ -113,7 +113,8 @@ def added_up(t: Floats, notes: list[str]) -> Floats:
 def runs_of(t: Floats) -> list[slice]:
     """The rows of each run in a file whose time begins again; all rows as one where it does not.
 
-    A run has at least 22 rows, and begins near the time at which the first one begins, or near 0.
+    A run has at least 22 rows, and begins near the time at which the first one begins, or near 0. Fewer before the only
+    one are what the link still held of another: they are in none.
     """
     back = np.flatnonzero(t[1:] < t[:-1]) + 1
     if back.size == 0 or float(np.abs(t).max()) > LARGEST:
@@ -122,6 +123,8 @@ def runs_of(t: Floats) -> list[slice]:
     near = _BEGINS_PERIODS * float(np.median(np.abs(np.diff(t))))
     begins = t[back]
     begin_again = bool(np.all((np.abs(begins - t[0]) <= near) | (np.abs(begins) <= near)))
+    if edges[1] < _FEWEST_ROWS < t.size - edges[1] and back.size == 1 and abs(begins[0]) <= near:
+        return [slice(edges[1], t.size)]
     if not begin_again or min(np.diff(edges)) < _FEWEST_ROWS:
         return [slice(0, t.size)]
     return [slice(first, stop) for first, stop in pairwise(edges)]

@@ -106,7 +106,9 @@ def answer_of(
 ) -> Answer | None:
     """The answer; None without an estimate.
 
-    law, law_frame, u95, u95_absolute, grade, predicts   of ``with_laws``, or of the plain estimate where that is None
+    law, law_frame, u95, u95_absolute, grade, predicts   of ``with_laws``, or of the plain estimate where that is None.
+                Where the plain one is the answer in place of a refused ``with_laws``, no interval knows what it leaves
+                out: it says no number
     holds       of the records
     """
     found = chosen(estimates, with_laws)
@@ -115,7 +117,8 @@ def answer_of(
     method, estimate = found
     numbers = {name: getattr(estimate, name) for name in EstimateResult.model_fields}
     if with_laws is not None and estimate is not with_laws:  # the plain motor is the answer, and has none of these
-        law, law_frame, u95, u95_absolute, grade, predicts = None if law is None else (), None, None, None, None, None
+        law, law_frame, u95, u95_absolute, predicts = None if law is None else (), None, None, None, None
+        grade = None if grade is None else {name: GradedNumber() for name in ("tau_s", "K_rad_s_V", "fc_V")}
     return Answer(
         **numbers,
         method=method,
