@@ -136,8 +136,8 @@ def open_loop(wish: Task) -> Callable[[Array], float]:
     def seconds(drives: Array) -> float:
         n = drives.size
         times = period_s * np.arange(float(n))
-        edges = np.append(-period_s, times + wish.delay_s)
-        moved = states(motor, (0.0, 0.0, 0.0), (edges, np.append(0.0, drives), 0.0), times)[:, :2]
+        edges, levels = np.append(-period_s, times + wish.delay_s), np.append(0.0, drives)
+        moved = states(motor, (0.0, 0.0, 0.0), (edges, levels, 0.0), times)[:, :2]
         low, high, speed, *_ = compiled.bounds(moved, 0.0)
         if low < room.low_rad or high > room.high_rad or speed > room.max_speed_rad_s:
             return math.inf

@@ -230,7 +230,8 @@ def _worst_corrected(result: Result) -> float:
 
 def fails_from(result: Result, starts: tuple[float, float]) -> bool:
     """Whether the plain method is more than 5 % off from these starts."""
-    return abs(float(result.by_start[starts][-1]) / surviving.FC_V - 1.0) > 0.05
+    end_V = float(result.by_start[starts][-1])
+    return abs(end_V / surviving.FC_V - 1.0) > 0.05
 
 
 def _comparisons(result: Result) -> tuple[Comparison, ...]:

@@ -170,7 +170,8 @@ def pulls_apart(rows: Rows, added: Array, begins: Begins, ends: Begins, variance
         both[first:stop] -= start @ (start.T @ both[first:stop])
     m = rows.by_number.shape[1]
     own = np.linalg.qr(both[:, :m] / np.sqrt(np.maximum(squares[:m], 1e-300)))[0]
-    left = both[:, m:] - own @ (own.T @ both[:, m:])
+    left = both[:, m:]
+    left = left - own @ (own.T @ left)
     shown = np.sum(left**2, axis=0)
     pulls = np.add.reduceat(left * rows.residual[:, None], ends)
     pulls -= pulls.mean(axis=0)

@@ -220,7 +220,6 @@ def uncancelled(runs: Sequence[ComparedRun]) -> Array:
 
     That is too much for runs of one bench with tests of one kind, and a bound for any.
     """
-    blocks = [
-        run.covariance + np.diag(sum((line**2 for line in (run.lines or {}).values()), np.zeros(3))) for run in runs
-    ]
+    variances = [sum((line**2 for line in (run.lines or {}).values()), np.zeros(3)) for run in runs]
+    blocks = [run.covariance + np.diag(variance) for run, variance in zip(runs, variances, strict=True)]
     return np.asarray(block_diag(*blocks), dtype=np.float64)

@@ -223,7 +223,8 @@ def _off(relative: Array, variances: Array, scatter: Scatter | None) -> list[lis
 
 
 def _run(run: ComparedRun, bench: int, off: tuple[Array, Array, float], beyond: Sequence[Off]) -> ComparedRunResult:
-    numbers, errors = run.numbers, np.sqrt(np.diag(run.covariance)) * np.array([*run.numbers[:2], 1.0])
+    numbers, relative = run.numbers, np.sqrt(np.diag(run.covariance))
+    errors = relative * np.append(numbers[:2], 1.0)
     by, error, chance = off
     normal = quantile(math.inf)
     return ComparedRunResult.of(
@@ -276,13 +277,12 @@ def _unless(runs: Sequence[ComparedRun], values: Array) -> str:
     if agreement(values, uncancelled(runs)).chance < LEVEL:
         return ""
     sources = {source for run in runs for source in run.lines or () if source not in SCALES}
-    largest = max(
-        sources,
-        key=lambda source: sum(
-            float(np.sum((run.lines or {}).get(source, np.zeros(3)) ** 2 / np.diag(run.covariance))) for run in runs
-        ),
-        default="another law",
-    )
+    size = dict.fromkeys(sources, 0.0)
+    for run in runs:
+        for source, line in (run.lines or {}).items():
+            if source in size:
+                size[source] += float(np.sum(line**2 / np.diag(run.covariance)))
+    largest = max(size, key=lambda source: size[source], default="another law")
     return (
         f" Unless their tests differ in kind or size: then it may come from {largest.replace('_', ' ')}, "
         "which they do not exclude."

@@ -193,7 +193,9 @@ def unwrapped_position(y: Floats, counts: bool, turn: float, notes: list[str]) -
         return y
     # a potentiometer of 10 bits stays at an end in the gap of its turn: there the counter's size is too small a step
     inside = np.flatnonzero((y > y.min()) & (y < y.max()))
-    on, said, _ = min(ways, key=lambda way: float(np.abs(np.diff(np.diff(way[0][inside]) / np.diff(inside))).sum()))
+    steps = np.diff(inside)
+    speeds = [np.diff(on[inside]) / steps for on, _, _ in ways]
+    on, said, _ = ways[int(np.argmin([np.abs(np.diff(speed)).sum() for speed in speeds]))]
     notes.append(said)
     return np.asarray(on)
 
@@ -280,7 +282,8 @@ def summed_up(v_rad_per_s: Floats, t_s: Floats, notes: list[str], rounded_rad_s:
         f"the velocity is new in every {int(kept[1] - kept[0])}th row and held in between: each is the mean since it "
         "was new before, and the position is known in these rows"
     )
-    return Summed(np.cumsum(v_rad_per_s[kept] * np.diff(t_s[kept], prepend=t_s[kept[0]])), kept)
+    since_s = np.diff(t_s[kept], prepend=t_s[kept[0]])
+    return Summed(np.cumsum(v_rad_per_s[kept] * since_s), kept)
 
 
 def held_rows(v: Floats) -> Integers | None:
