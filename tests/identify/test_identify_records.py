@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from evidence import evidence
 
 from campaign_real.departing_motor import Bench, Departures, PlainMotor, relay_test
 from rig.identification import IdentifyError, identify, sampled_data
@@ -101,7 +102,7 @@ def test_a_strange_stretch_of_the_search_is_left_out_and_the_verdict_stays(
     assert rows.start <= search.rows[0] < search.rows[1] < middle
 
 
-@pytest.mark.parametrize("rows", [60, 150])
+@pytest.mark.parametrize("rows", [150, *evidence(60)])
 def test_a_stretch_that_is_left_out_is_told_where_laws_are_chosen_again_from_all_rows(rows: int) -> None:
     """With the strange stretch the laws leave more than noise; without it little else, so all rows count then.
 

@@ -198,13 +198,15 @@ class EmulatedServo:
 
     def put(self, name: str, value: int) -> None:
         """Set a register, whatever rules it has. Raises KeyError, ValueError."""
+        if self._values[name] == value:  # what it refreshes each millisecond seldom changes
+            return
         register = self.model[name]
         self._active[register.address : register.end] = register.pack(value)
         self._values[name] = value
 
     def of(self, role: str) -> int:
         """What the register of a role holds."""
-        return self.value(self.model.roles[role])
+        return self._values[self.model.roles[role]]
 
     def _set(self, role: str, value: int) -> None:
         self.put(self.model.roles[role], value)
@@ -253,6 +255,8 @@ class EmulatedServo:
 
     def advance_to(self, t_s: float) -> None:
         """Let time pass to ``t_s``, with what every millisecond brings; none if that is past."""
+        if t_s <= self.t_s:
+            return
         while (tick_s := (self._ticks + 1) * TICK_S) <= t_s:
             self._move_to(tick_s)
             self._ticks += 1

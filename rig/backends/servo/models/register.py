@@ -2,14 +2,33 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 from rig.backends.servo import feetech
 
 Kind = Literal["uint8", "int8", "uint16", "int16", "uint32", "int32", "sign10", "sign11", "sign15"]
 Access = Literal["r", "rw"]
 
-_SIZES: dict[str, int] = {"uint8": 1, "int8": 1, "uint32": 4, "int32": 4}  # every other has two bytes
+
+class _Held(NamedTuple):
+    """What a kind holds: its bytes; the bit that says negative; smallest and largest number."""
+
+    size: int
+    sign_bit: int | None
+    least: int
+    most: int
+
+
+def _held(kind: Kind) -> _Held:
+    if kind.startswith("sign"):
+        bit = int(kind[4:])
+        return _Held(2, bit, 1 - (1 << bit), (1 << bit) - 1)
+    bits = int(kind.removeprefix("u")[3:])
+    least = 0 if kind.startswith("u") else -(1 << bits - 1)
+    return _Held(bits // 8, None, least, (1 << bits) - 1 + least)
+
+
+_HELD: dict[Kind, _Held] = {kind: _held(kind) for kind in get_args(Kind)}
 
 
 class Register(NamedTuple):
@@ -37,7 +56,7 @@ class Register(NamedTuple):
     @property
     def size(self) -> int:
         """Its bytes."""
-        return _SIZES.get(self.kind, 2)
+        return _HELD[self.kind].size
 
     @property
     def end(self) -> int:
@@ -47,37 +66,34 @@ class Register(NamedTuple):
     @property
     def sign_bit(self) -> int | None:
         """The bit that says negative, where it is magnitude and bit."""
-        return int(self.kind[4:]) if self.kind.startswith("sign") else None
+        return _HELD[self.kind].sign_bit
 
     @property
     def least(self) -> int:
         """Smallest number that its kind holds."""
-        if self.sign_bit is not None:
-            return 1 - (1 << self.sign_bit)
-        return -(1 << 8 * self.size - 1) if self.kind.startswith("int") else 0
+        return _HELD[self.kind].least
 
     @property
     def most(self) -> int:
         """Largest number that its kind holds."""
-        if self.sign_bit is not None:
-            return (1 << self.sign_bit) - 1
-        return (1 << 8 * self.size - self.kind.startswith("int")) - 1
+        return _HELD[self.kind].most
 
     def pack(self, value: int) -> bytes:
         """Its bytes for a value. Raises ValueError where its kind cannot hold it."""
-        if not self.least <= value <= self.most:
-            raise ValueError(f"{self} cannot hold {value}: {self.least} to {self.most}")
-        if self.sign_bit is not None:
-            return feetech.magnitude(value, self.sign_bit).to_bytes(2, "little")
-        return value.to_bytes(self.size, "little", signed=self.kind.startswith("int"))
+        size, sign_bit, least, most = _HELD[self.kind]
+        if not least <= value <= most:
+            raise ValueError(f"{self} cannot hold {value}: {least} to {most}")
+        held = value if sign_bit is None else feetech.magnitude(value, sign_bit)
+        return held.to_bytes(size, "little", signed=held < 0)
 
     def unpack(self, data: bytes) -> int:
         """The value of its bytes. Raises ValueError for another number of bytes, and for bits above its sign."""
-        if len(data) != self.size:
-            raise ValueError(f"{self} has {self.size} bytes, not {len(data)}")
-        if self.sign_bit is not None:
-            return feetech.signed(int.from_bytes(data, "little"), self.sign_bit)
-        return int.from_bytes(data, "little", signed=self.kind.startswith("int"))
+        size, sign_bit, least, _ = _HELD[self.kind]
+        if len(data) != size:
+            raise ValueError(f"{self} has {size} bytes, not {len(data)}")
+        if sign_bit is not None:
+            return feetech.signed(int.from_bytes(data, "little"), sign_bit)
+        return int.from_bytes(data, "little", signed=least < 0)
 
     def __str__(self) -> str:
         """As a message names it: goal_pwm (register 100)."""
