@@ -265,7 +265,7 @@ def grid(count: int) -> Iterator[tuple[Check, float, float]]:
 @pytest.mark.parametrize("known", [True, False])
 def test_at_ten_milliseconds_it_is_a_fair_reference_and_its_intervals_say_how_good(known: bool) -> None:
     off, covered = [], []
-    for k, (check, ticks, asym) in enumerate(grid(24)):
+    for k, (check, ticks, asym) in enumerate(grid(40)):
         record = recorded(check, 0.01, ticks, known, 18, asym, 0.003, LSB_RAD, k)
         found = triple_relay.fit(find_cycle(record))
         off.append(errors((found.tau_s, found.K_rad_s_V, found.fc_V), check))

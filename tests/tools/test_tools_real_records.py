@@ -36,12 +36,12 @@ pytestmark = pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "verdict", "numbers", "said"),
     [
+        ("dead_band_1p3V.csv", "ok", TRUE, "dead band of the drive 1.3"),
         ("closedloop.csv", "ok", SLOW, ""),
         ("one_way_levels.csv", "doubtful", TRUE, "one way only"),
         ("file_fwd.csv file_rev.csv", "ok", TRUE, "dead band"),
         ("demo-refused", "ok", (0.17, 6.5, 0.48), ""),
         *evidence(
-            ("dead_band_1p3V.csv", "ok", TRUE, "dead band of the drive 1.3"),
             ("vel_lpf5ms.csv", "ok", TRUE, "low-passed by 5"),  # make test has such a filter in tests/identify
             ("steps.csv", "ok", SLOW, ""),
             ("unsigned_drive.csv", "refused", None, "the drive is never negative"),
