@@ -361,7 +361,7 @@ def _holes(test: TimeSeries) -> list[Objection]:
     first, last = test.first_row + int(starts[part]), test.first_row + int(ends[part])
     cure = f"identify the longest part without a gap (--rows {first}:{last})"
     if last - first < FEWEST_ROWS:
-        cure = "between them are too few rows for a fit: log every tick"
+        cure = "no part without one is long enough; log every tick"
     reason = f"{test.name}: {_in_words(test, holes)}: the drive there is unknown; {cure}"
     return [Objection("doubtful", reason)]
 

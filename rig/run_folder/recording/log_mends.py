@@ -12,7 +12,6 @@ from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
 
 from rig.run_folder.recording.log_format import LARGEST
 from rig.run_folder.recording.recording import Columns, Floats, Integers
@@ -343,6 +342,8 @@ def _rounded_step(moved: Floats, rounded: Floats) -> float | None:
 
     if chance(_LEAST_SHARE) > 0.0:
         return None
+    from scipy.optimize import brentq  # it loads slowly, and few logs need it
+
     low, high = 2.0 * off / brentq(chance, _LEAST_SHARE, near_enough), min(float(each[0]) + off, _COARSE * off)
     count = math.log(max(high / low, 1.0)) * float(each[-1]) / (_NEAR_STEP * off)
     steps = np.geomspace(high, low, math.ceil(min(count, _MOST_STEPS)))
