@@ -97,8 +97,11 @@ class Smoothing(NamedTuple):
         return test
 
     def left_rad(self, fit: Fit) -> float:
-        """RMS residual of the column as it was logged, rad: undone, its noise is many times as large as it was."""
-        if self.column == "drive" or self.order < 1:
+        """RMS residual of a reading as it was logged, rad: undone, its noise is many times as large as it was.
+
+        Of a row a low pass changes friction alone, and so next to nothing: there its large noise speaks against it.
+        """
+        if self.column != "reading" or self.order < 1:
             return fit.rms_rad
         squares, at = 0.0, 0
         for window in fit.problem.cut.windows:
