@@ -65,6 +65,11 @@ class BeforeStore:
         return None if self.path is None else self.path.with_suffix(".txt")
 
     @property
+    def own(self) -> tuple[dict[str, int] | None, Sets | None]:
+        """What this process has kept, whatever became of the file: another run may think it its own."""
+        return self._values, self._sets
+
+    @property
     def is_kept(self) -> bool:
         """Whether there is something to put back."""
         return self._values is not None if self.path is None else self.path.exists()
@@ -89,11 +94,11 @@ class BeforeStore:
         Raises Fault SERVO_CHANGED for a damaged file, and for one of another model.
         """
         if self.path is None:
-            return self._values, self._sets
+            return self.own
         try:
             content = read_plain(self.path, _MOST_BYTES)
         except FileNotFoundError:
-            return self._values, self._sets  # somebody has deleted it meanwhile
+            return self.own  # somebody has deleted it meanwhile
         except OSError as error:
             raise Fault("SERVO_CHANGED", f"{self.path}: {error.strerror}") from error
         try:
@@ -179,7 +184,7 @@ def put_back(link: ServoLink, store: BeforeStore, *, is_left: bool = False) -> d
     Raises Fault LINK_*, SERVO_REFUSED, ARM_READBACK; SERVO_CHANGED before anything is written.
     """
     model, roles = link.model, link.model.roles
-    values, sets = store.read(model)
+    values, sets = store.read(model) if is_left else store.own
     values = values or {}
     if is_left and sets is not None and not (values := _as_left(link, values, sets, store)):
         store.clear()
@@ -190,8 +195,8 @@ def put_back(link: ServoLink, store: BeforeStore, *, is_left: bool = False) -> d
     names = [name for name in _CHANGED[model.protocol] if name in values]
     mode = names.index(roles["mode"]) if roles["mode"] in names else 0
     for part in (names[:mode], names[mode:]):
-        if mode and part == names[mode:]:  # once the mode is back nothing tells any more that rig has changed it
-            store.save(model, link.bus.id, {name: values[name] for name in part})
+        if mode and part[-1] in _RESET_BY_MODE:  # once the mode is back nothing tells that rig has changed these
+            store.save(model, link.bus.id, values, None if sets is None else {names[mode]: sets.get(names[mode], ())})
         for name in part + part:  # a wrong answer may have said that one holds its value already
             link.hold(name, values[name])
     link.put(roles["torque"], 0)  # on some servos writing a goal switches it on
@@ -213,11 +218,12 @@ def _as_left(link: ServoLink, values: Mapping[str, int], sets: Sets, store: Befo
             raise Fault(
                 "SERVO_CHANGED",
                 f"{model[name]} reads {held[name]}, but a run that has not put it back left {words}: this is another "
-                f"servo, or somebody has changed it since. Nothing was written. {store.path} is of that run: delete "
-                "it, if this servo is as you want it",
+                f"servo, or somebody has changed it{' or cut its supply' if 'lock' in model.roles else ''} since. "
+                f"Nothing was written. {store.path} is of that run: delete it, if this servo is as you want it; with "
+                f"{held[name]} for {values[name]} there the rest is put back",
             )
-    shown = [name for name in sets if any(value != values[name] for value in sets[name])]
-    if shown and not any(held[name] != values[name] and held[name] in ours[name] for name in shown):
+    is_end = sets.keys() == {model.roles["mode"]}  # all but that is back
+    if not is_end and not any(held[name] != values[name] and held[name] in ours[name] for name in sets):
         return {drive: 0} if values.get(drive) == 0 else {}  # of a servo of PWM mode rig's duty shows nowhere else
     return {name: value for name, value in values.items() if name not in sets or held[name] in ours[name]}
 

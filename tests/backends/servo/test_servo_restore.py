@@ -364,6 +364,53 @@ def test_another_servo_as_shipped_gets_no_gains_of_the_one_that_was_there(tmp_pa
     assert other.registers() == before and not store.is_kept
 
 
+def test_another_servo_is_written_nothing_where_the_end_of_a_run_was_killed(tmp_path: Path) -> None:
+    """All but the mode, and what that resets, is back by then."""
+    first = Bench()
+    store = left_by_a_killed_run(first, tmp_path)
+    hold = first.driver._link.hold
+
+    def held(name: str, value: int) -> bool:
+        if name == "position_p_gain":
+            raise Killed
+        return hold(name, value)
+
+    first.driver._link.hold = held  # type: ignore[method-assign]
+    with pytest.raises(Killed):
+        first.driver.close()
+    other = Bench(store=store, registers={"operating_mode": 4})
+    before = other.registers()
+    with pytest.raises(Fault, match="SERVO_CHANGED"):
+        restore(other.driver._link, store)
+    assert other.registers() == before and store.is_kept
+
+
+def test_a_run_puts_back_its_own_values_whatever_the_file_holds_by_then(tmp_path: Path) -> None:
+    """Two adapters of one serial number have one file."""
+    first, path = Bench(), tmp_path / "servo.json"
+    first.servo.put("position_p_gain", 123)
+    before = owned(first)
+    left_by_a_killed_run(first, tmp_path)
+    Bench(store=BeforeStore(path)).armed()
+    first.driver.close()
+    assert owned(first) == before
+
+
+def test_what_somebody_has_changed_since_a_killed_run_is_put_back_no_more_once_the_file_says_so(tmp_path: Path) -> None:
+    """As the fault says."""
+    bench = Bench()
+    before = owned(bench) | {"return_delay_time": 10}
+    store = left_by_a_killed_run(bench, tmp_path)
+    bench.driver.safe_stop()
+    bench.servo.put("return_delay_time", 10)
+    with pytest.raises(Fault, match="with 10 for 250 there the rest is put back"):
+        restore(bench.another()._link, store)
+    assert store.path is not None
+    store.path.write_text(store.path.read_text().replace('"return_delay_time": 250', '"return_delay_time": 10'))
+    restore(bench.another()._link, store)
+    assert owned(bench) == before
+
+
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_a_servo_that_lost_its_supply_after_a_killed_run_is_no_other_one(protocol: str, tmp_path: Path) -> None:
     """A Feetech forgets what is behind its lock, a Dynamixel its goals and gains."""
