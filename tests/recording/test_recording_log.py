@@ -189,6 +189,24 @@ def test_steps_of_a_counter_are_looked_for_no_longer_in_a_long_log() -> None:
     assert times[1] < 6.0 * times[0]
 
 
+@pytest.mark.parametrize(
+    ("option", "log"), [("direction", replace(COUNTED, direction="way")), ("run", replace(COUNTED, run="way"))]
+)
+def test_a_column_without_a_unit_that_is_not_there_or_is_there_twice_is_told_how_to_name(
+    tmp_path: Path, option: str, log: LogFormat
+) -> None:
+    with pytest.raises(RecordingError, match=rf"no column way; .* for example --{option} millis$"):
+        parse(tmp_path, NAMED, log)
+    twice = NAMED.replace("\n", ",1,1\n").replace("counts,1,1", "counts,way,way")
+    with pytest.raises(RecordingError, match=rf"column way twice; number it: --{option} 1$"):
+        parse(tmp_path, twice, log)
+
+
+@pytest.mark.filterwarnings("error")
+def test_velocities_of_few_rows_are_summed() -> None:
+    assert summed_up(np.array([0.3]), np.array([0.0]), []).y_rad.tolist() == [0.0]
+
+
 def test_samples_of_a_velocity_change_evenly_in_between(tmp_path: Path) -> None:
     t_s = 0.01 * np.arange(60)
     log = LogFormat(LogColumn("s"), LogColumn("V"), velocity=LogColumn("rad/s"))

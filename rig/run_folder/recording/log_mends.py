@@ -303,7 +303,7 @@ def _integrated(v_rad_per_s: Floats, t_s: Floats, rounded_rad_s: float, notes: l
     moved = v_rad_per_s * periods_s
     steps = np.abs(moved[moved != 0.0])
     of_counter = False
-    if steps.size:
+    if steps.size >= _FEWEST_MOVES:
         one = float(np.median(steps[steps < 1.5 * steps.min()]))
         few = steps[steps < _FEW_STEPS * one] / one
         is_whole = few.size >= _FEWEST_MOVES and float(np.mean(np.abs(few - np.round(few)) < 0.1)) > 0.9
