@@ -443,6 +443,26 @@ def test_noise_of_a_sampled_velocity_adds_up_and_is_no_law_of_the_motor(tmp_path
     assert not any("the sensor's noise" in reason for reason in found.answer.reasons)
 
 
+def test_noise_that_adds_up_is_not_white_and_a_law_of_a_sampled_velocity_must_show_in_blocks(tmp_path: Path) -> None:
+    """A fit that left no more than such noise kept any law: friction of a gear, or a dead band with f_c 1.2 % off."""
+    motor, random = RealMotor(0.331, 3.94, 1.34), np.random.default_rng(5)
+    t_s, u_V = (
+        np.linspace(0.0, 10.0, 5000, endpoint=False),
+        np.repeat(np.round(random.uniform(-9.0, 9.0, 11), 2), 500)[:5000],
+    )
+    logged_s = t_s + random.uniform(-6e-4, 6e-4, t_s.size)
+    logged_s[0] = 0.0
+    both_s = np.sort(np.concatenate((logged_s, logged_s + 1e-5)))
+    y_rad = response(motor, Frame(duration_s=10.1), (t_s, u_V), both_s, Pieces.one())
+    v_rad_s = (y_rad[1::2] - y_rad[::2]) / 1e-5
+    v_rad_s += 0.001 * np.ptp(v_rad_s) * random.standard_normal(t_s.size)
+    log = tmp_path / "tacho.csv"
+    log.write_text("".join(f"{t:.5f},{u},{v:.4f}\n" for t, u, v in zip(logged_s, u_V, v_rad_s, strict=True)))
+    found = identify(read_all(log, LogFormat(LogColumn("s"), LogColumn("V"), velocity=LogColumn("rad/s"))))
+    assert found.answer is not None and not found.answer.law
+    assert right(found.answer, motor, 0.01, "tau_s", "K_rad_s_V", "fc_V")
+
+
 def test_a_dead_band_that_moves_f_c_is_named_where_the_plain_motor_predicts_to_a_part_in_a_thousand() -> None:
     """Over many turns nothing seems left: f_c was 70 % off beside 24 %."""
     motor = RealMotor(0.138, 10.8, 0.28, dead_band_V=0.19)

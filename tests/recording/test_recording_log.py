@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.log_format import LogColumn, LogFormat, LogFormatError
+from rig.run_folder.recording.log_mends import summed_up
 from rig.run_folder.recording.reader import read
 from rig.run_folder.recording.recording import Recording
 
@@ -172,6 +174,37 @@ def test_a_velocity_that_is_rounded_nearly_as_coarsely_as_its_counter_steps_give
     said = np.diff(counts, prepend=0.0) * 60 / 0.1 / 4704
     recording = parse(tmp_path, "".join(f"{t:.1f},1,{v:.1f}\n" for t, v in zip(t_s, said, strict=True)), log)
     assert recording.y_rad - recording.y_rad[0] == pytest.approx((counts - counts[0]) * TURN / 4704, abs=0.01)
+
+
+def test_steps_of_a_counter_are_looked_for_no_longer_in_a_long_log() -> None:
+    """Of 20,000 noisy rows it took 53 s of CPU, before any fit."""
+    rng = np.random.default_rng(3)
+    t_s = np.cumsum(0.01 + rng.uniform(0.0, 1e-3, 20_000))
+    v_rad_s = np.round(1000.0 * np.sin(t_s) + 10.0 * rng.normal(size=t_s.size)) * TURN / 60
+    times = []
+    for rows in (1000, 20_000):
+        begin = time.process_time()
+        assert summed_up(v_rad_s[:rows], t_s[:rows], [], TURN / 120).adds_up
+        times.append(time.process_time() - begin)
+    assert times[1] < 6.0 * times[0]
+
+
+@pytest.mark.parametrize(
+    ("option", "log"), [("direction", replace(COUNTED, direction="way")), ("run", replace(COUNTED, run="way"))]
+)
+def test_a_column_without_a_unit_that_is_not_there_or_is_there_twice_is_told_how_to_name(
+    tmp_path: Path, option: str, log: LogFormat
+) -> None:
+    with pytest.raises(RecordingError, match=rf"no column way; .* for example --{option} millis$"):
+        parse(tmp_path, NAMED, log)
+    twice = NAMED.replace("\n", ",1,1\n").replace("counts,1,1", "counts,way,way")
+    with pytest.raises(RecordingError, match=rf"column way twice; number it: --{option} 1$"):
+        parse(tmp_path, twice, log)
+
+
+@pytest.mark.filterwarnings("error")
+def test_velocities_of_few_rows_are_summed() -> None:
+    assert summed_up(np.array([0.3]), np.array([0.0]), []).y_rad.tolist() == [0.0]
 
 
 def test_samples_of_a_velocity_change_evenly_in_between(tmp_path: Path) -> None:

@@ -302,7 +302,7 @@ class Chooser:
         together. A coarse sensor leaves its steps, which are never white.
         """
         tells_all = len(fit.problem.cut.begins) == len(whole.begins)
-        if tells_all and fit.rms_rad <= AT_NOISE * fit.noise_rad and not self.within_steps:
+        if tells_all and fit.rms_rad <= AT_NOISE * self.sigma_rad and not self.within_steps:
             return fit, laws
         blocks = Blocks.of(whole, fit.motor.tau_s, LAW_BLOCK)
         rows = np.array(blocks.cut.lengths)

@@ -512,7 +512,8 @@ def _named_place(path: Path, line: int, first: Sequence[str], has_names: bool, q
     """The place of a column that the user named or numbered."""
     if has_names and column in first:
         if list(first).count(column) > 1:
-            raise RecordingError(path, f"has column {column} twice", f"number it: --{quantity} 1:UNIT", line)
+            unit = ":UNIT" if quantity in UNITS else ""
+            raise RecordingError(path, f"has column {column} twice", f"number it: --{quantity} 1{unit}", line)
         return list(first).index(column)
     if column.isdecimal() and 1 <= int(column) <= len(first):
         return int(column) - 1
@@ -540,8 +541,11 @@ def _usual_place(path: Path, line: int, first: Sequence[str], quantity: str, one
 
 def _say_which(quantity: str, names: Sequence[str]) -> str:
     """What to type to name a column."""
-    usual = [name for name in names if any(len(word) > 1 and word in USUAL_NAMES[quantity] for word in words_of(name))]
+    known = USUAL_NAMES.get(quantity, ())
+    usual = [name for name in names if any(len(word) > 1 and word in known for word in words_of(name))]
     name = next((name for name in (*usual, *names) if name), "1")
+    if quantity not in UNITS:  # a direction, or a run
+        return f"say which, for example --{quantity} {quote(name)}"
     named, units = quote(f"{name}:UNIT"), ", ".join(UNITS[quantity])
     cure = f"say which, for example --{quantity} {named}, with one of the units {units}"
     if quantity == "time" and not usual:

@@ -19,8 +19,9 @@ from rig.run_folder.recording.recording import Columns, Floats, Integers
 _UNEVEN = 0.05  # scatter of the time between rows, over that: by chance no sample is whole steps then
 _FEW_STEPS, _FEWEST_MOVES = 10.5, 10  # of a counter, between two rows, for a velocity to show them
 # Of steps of a counter behind rounded velocities: the largest, over the most that they are rounded by; how exactly one
-# is tried, and how many; log of the probability that chance alone puts as many near whole steps
-_COARSE, _NEAR_STEP, _MOST_STEPS, _BY_CHANCE = 20.0, 0.02, 200_000, -30.0
+# is tried, how many, and on how many ways from row to row, for all took longer than the fit; log of the probability
+# that chance alone puts as many near whole steps
+_COARSE, _NEAR_STEP, _MOST_STEPS, _MOST_TRIED, _BY_CHANCE = 20.0, 0.02, 200_000, 500, -30.0
 _LEAST_SHARE = 1e-3
 _FEWEST_KINDS = 30  # of changes from row to row: fewer are those of a ramp, which is near any grid
 _OF_BITS: Final = {8: 2.0**8, 16: 2.0**16, 32: 2.0**32}  # numbers that a whole number of so many bits can be
@@ -304,7 +305,7 @@ def _integrated(v_rad_per_s: Floats, t_s: Floats, rounded_rad_s: float, notes: l
     moved = v_rad_per_s * periods_s
     steps = np.abs(moved[moved != 0.0])
     of_counter = False
-    if steps.size:
+    if steps.size >= _FEWEST_MOVES:
         one = float(np.median(steps[steps < 1.5 * steps.min()]))
         few = steps[steps < _FEW_STEPS * one] / one
         is_whole = few.size >= _FEWEST_MOVES and float(np.mean(np.abs(few - np.round(few)) < 0.1)) > 0.9
@@ -333,6 +334,8 @@ def _rounded_step(moved: Floats, rounded: Floats) -> float | None:
     each = each[each > 0.0]
     if np.unique(np.round(np.diff(moved), 12)).size < _FEWEST_KINDS or not float(most.min()) > 0.0:
         return None
+    tried = slice(None, None, math.ceil(each.size / _MOST_TRIED))
+    each, most = each[tried], most[tried]
     off = float(np.median(most))
     count_of, near_enough = each.size, 1.0 - 2.0 * _NEAR_STEP
 
