@@ -178,12 +178,15 @@ def _behind(
 ) -> tuple[float, Smoothing | None]:
     """What the plain motor behind a bridge leaves, rad, and how a column was smoothed, as ``smoothing``."""
     period_s = max(test.period_s for test in tests)
+    tau_s: dict[Smoothing, float] = {}
 
     def left(one: Smoothing) -> float:
         undone = [one.undone(test) for test in tests]
         if any(float(np.mean(np.abs(test.u_V) > OVER * test.most_V)) > RARE for test in undone):
             return math.inf  # no bridge gave that
-        return one.left_rad(plain_in_pieces(undone, plain, bridge))
+        fit = plain_in_pieces(undone, plain, bridge)
+        tau_s[one] = fit.motor.tau_s
+        return one.left_rad(fit)
 
     def beyond(rad: float) -> float:
         return max(rad**2 - noise_rad**2, 0.0)
@@ -230,6 +233,12 @@ def _behind(
         beside = [left(best._replace(size_s=best.size_s * of)) for of in (1.0 - BESIDE, 1.0 + BESIDE)]
         rise = (sum(beside) / 2.0 / found[best]) ** 2 - 1.0
         share = KNOWN * BESIDE / math.sqrt(max(rise, 1e-6))
+        other_s = tau_s[best]  # a motor and a filter could stand in each other's place, but for friction
+        if (
+            period_s < other_s < LONGEST_S
+            and left(best._replace(size_s=other_s)) < math.hypot(1.0, KNOWN) * found[best]
+        ):
+            share = max(share, abs(other_s / best.size_s - 1.0))
     return found[best], best._replace(left=min(share, MOST_LEFT) if is_told else 1.0)
 
 

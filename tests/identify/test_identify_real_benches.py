@@ -427,6 +427,20 @@ def test_a_reading_that_was_filtered_before_it_was_rounded_is_undone_all_the_sam
     assert answer.u95 is not None and (half_s := answer.u95["tau_s"]) is not None and half_s > 0.02 * motor.tau_s
 
 
+def test_a_filter_longer_than_tau_may_be_the_motor_and_then_tau_is_not_known() -> None:
+    """Drives of one size tell them apart by next to nothing: tau was 157 % off beside 7.5 %."""
+    motor = MOTOR._replace(tau_s=0.025)
+    t_s, u_V, _ = recorded(motor, (5.0,), rows=1600)
+    y_rad = response(motor, Frame(duration_s=8.0), (t_s + 0.002, u_V), t_s, Pieces.one())
+    stays = math.exp(-PERIOD_S / 0.06)
+    v = np.gradient(y_rad, t_s)
+    v += 0.003 * np.ptp(v) * np.random.default_rng(1).standard_normal(v.size)
+    for k in range(1, v.size):
+        v[k] = stays * v[k - 1] + (1.0 - stays) * v[k]
+    answer = answered((t_s, u_V, np.cumsum(v) * PERIOD_S))
+    assert answer.grade is not None and answer.grade["tau_s"].grade == "not known", answer
+
+
 def test_noise_of_a_sampled_velocity_adds_up_and_is_no_law_of_the_motor(tmp_path: Path) -> None:
     """Its sum strays by 40 times the noise of a row: that was more than tau, K and friction, and 3 % stood for it."""
     motor = MOTOR._replace(tau_s=0.2, dead_band_V=0.3)
