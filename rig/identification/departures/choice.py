@@ -295,11 +295,12 @@ class Chooser:
         """The fit without laws that take too little of the error in blocks that were not fitted, the least one first.
 
         Likelihood under noise that real records do not have buys a law for anything. Where a fit leaves more than the
-        sensor's noise, what it leaves is the motor, and a law that hardly changes that is not it; nor is one that does
-        so in few blocks alone. Nor is one where the plain motor predicts to a part in a thousand, and laws hardly move its
-        numbers: what is left there is what the readings are off. Where a fit leaves white noise, likelihood is right; so it is where it tells whole
-        tests, each from its start on, to the sensor's noise. Laws that only together take as much as is asked stay
-        together. A coarse sensor leaves its steps, which are never white.
+        sensor's noise, what it leaves is the motor, and a law that hardly changes that is not it; nor is one that
+        does so in few blocks alone. Nor is one where the plain motor predicts to a part in a thousand, and laws
+        hardly move its numbers: what is left there is what the readings are off. Where a fit leaves white noise,
+        likelihood is right; so it is where it tells whole tests, each from its start on, to the sensor's noise. Laws
+        that only together take as much as is asked stay together. A coarse sensor leaves its steps, which are never
+        white.
         """
         tells_all = len(fit.problem.cut.begins) == len(whole.begins)
         if tells_all and fit.rms_rad <= AT_NOISE * self.sigma_rad and not self.within_steps:
