@@ -855,7 +855,7 @@ def _free_at_0_V(rows: int) -> Recorded:
     return t_s, u_V, y_rad
 
 
-@pytest.mark.parametrize("noise_rad", [0.0, 0.03])
+@pytest.mark.parametrize("noise_rad", [0.03, *evidence(0.0)])
 def test_a_bridge_that_lets_the_motor_run_free_at_0_V_is_found(noise_rad: float) -> None:
     t_s, u_V, y_rad = _free_at_0_V(800)
     y_rad += np.random.default_rng(1).normal(0.0, noise_rad, t_s.size)
@@ -867,6 +867,7 @@ def test_a_bridge_that_lets_the_motor_run_free_at_0_V_is_found(noise_rad: float)
     assert answer.law is not None and "runs_free" in [law.name for law in answer.law]
 
 
+@pytest.mark.evidence
 def test_a_column_that_was_smoothed_behind_a_bridge_that_does_not_brake_is_undone() -> None:
     """None was looked for there: tau was up to 116 % off beside 17 %."""
     t_s, u_V, y_rad = _free_at_0_V(800)
