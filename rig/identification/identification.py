@@ -323,7 +323,7 @@ def _takes_change(data: Measurements, estimate: Estimate | None) -> bool:
     if math.isfinite(limit.drive_V):
         data.take(partial(clipped, limit=limit), limit.in_words())
         data.unsure += [by_speed_limit] if limit.from_rad_s > 0.0 else []
-    undone = {id(test): one for test, one in zip(data.tests, smoothed, strict=False) if one and one.left < 1.0}
+    undone = {id(test): one for test, one in zip(data.tests, smoothed, strict=False) if one and one.left != 1.0}
     if undone:
         period_s, is_alike = max(test.period_s for test in data.tests), len(set(smoothed)) == 1
         words = [

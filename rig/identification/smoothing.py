@@ -64,8 +64,9 @@ class Smoothing(NamedTuple):
     order    so many low passes, one after the other; ``MEAN``; ``WAY``: the sign of the drive is late; ``RAMP``: the
              drive goes at one pace where the motor's stepped
     is_late  of a mean, whether it is of the rows up to its own; False: of those around it
-    left     share of it that may be missing, or be too much. A drive's low pass that leaves more than noise is another
-             shape; 1: it does not explain the tests, though it takes most of what a plain motor leaves
+    left     share of it that may be missing, or be too much; above 1 where a motor could stand in its place. A drive's
+             low pass that leaves more than noise is another shape. Just 1: it does not explain the tests, though it
+             takes most of what a plain motor leaves
     """
 
     column: Column
@@ -148,7 +149,7 @@ def smoothings(tests: Sequence[TimeSeries], plain: Estimate) -> list[Smoothing |
     of_all = smoothing(tests, plain)
     if len(tests) > 1 and (of_all is None or of_all.left == 1.0):
         each = [smoothing([test], plain) for test in tests]
-        told = [one if one is not None and one.left < 1.0 else None for one in each]
+        told = [one if one is not None and one.left != 1.0 else None for one in each]
         if any(told):
             return told
     return [of_all] * len(tests)
@@ -168,7 +169,7 @@ def smoothing(tests: Sequence[TimeSeries], plain: Estimate) -> Smoothing | None:
     for bridge in NO_BRAKES if rad > EXPLAINS * max(ways_rad) else ():
         if rad > NOISY * noise_rad:
             other_rad, other = _behind(bridge, tests, plain, noise_rad)
-            is_told = other is None or other.left < 1.0
+            is_told = other is None or other.left != 1.0
             rad, found = (other_rad, other) if is_told and other_rad < CUTS * rad else (rad, found)
     return found
 
@@ -239,7 +240,7 @@ def _behind(
             and left(best._replace(size_s=other_s)) < math.hypot(1.0, KNOWN) * found[best]
         ):
             share = max(share, abs(other_s / best.size_s - 1.0))
-    return found[best], best._replace(left=min(share, MOST_LEFT) if is_told else 1.0)
+    return found[best], best._replace(left=(share if share > 1.0 else min(share, MOST_LEFT)) if is_told else 1.0)
 
 
 def _apart(period_s: float) -> float:

@@ -438,7 +438,10 @@ def test_a_filter_longer_than_tau_may_be_the_motor_and_then_tau_is_not_known() -
     for k in range(1, v.size):
         v[k] = stays * v[k - 1] + (1.0 - stays) * v[k]
     answer = answered((t_s, u_V, np.cumsum(v) * PERIOD_S))
-    assert answer.grade is not None and answer.grade["tau_s"].grade == "not known", answer
+    assert answer.grade is not None and answer.grade["tau_s"].grade == "not known"
+    assert answer.u95 is not None and (half_s := answer.u95["tau_s"]) is not None
+    found_s = answer.value("tau_s")
+    assert found_s is not None and abs(found_s - motor.tau_s) < half_s
 
 
 def test_noise_of_a_sampled_velocity_adds_up_and_is_no_law_of_the_motor(tmp_path: Path) -> None:

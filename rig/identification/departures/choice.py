@@ -59,10 +59,9 @@ WITHIN_STEP, NEARLY_ALL = 0.65, 0.99
 OF_STEP = 0.5  # mean way from row to row, of a step of the sensor: below it rows lie within the steps
 STEPS_SHOW = 2.0  # coloured noise over white noise in a residual that is a coarse sensor's steps
 LAW_BLOCK = (0.5, 6.0)  # length of blocks in which a law must show, s, and in time constants: the longer of both
-FINE = (
-    1e-3  # error in blocks of a plain motor that needs no law, if laws move tau, K and friction by no more than this:
-)
-MOVES, SMALL = 0.025, 0.03  # share of each; friction counts as no smaller than so much of the largest drive
+# Error in blocks of a plain motor that needs no law, if laws move tau, K and friction by no more than a share of each;
+# friction counts as no smaller than so much of the largest drive
+FINE, MOVES, SMALL = 1e-3, 0.025, 0.03
 NOTHING_OF_RANGE = 0.01  # size of a law over its range, below which it is rounding
 LOST = 30.0  # residual over noise from which on rows are not compared with noise, but with what a fit leaves of most
 BENT = 2.0  # growth of the residual in a fit with its noise beyond which it is no noise
