@@ -32,6 +32,7 @@ EACH = {
     "source": {"source_per_V2": 0.02},
     "runs_free": {"runs_free": 0.7},
     "no_brake": {"no_brake": 0.6},
+    "free_between": {"free_between": 0.8, "full_drive_V": 2.5},
 }  # fmt: skip
 MIXED = {
     "a loaded arm on a worn gear": ("force_over_position", "friction_over_position", "backlash", "drift"),
@@ -40,9 +41,11 @@ MIXED = {
     "a stepper as a motor": ("cogging", "drag", "lag", "static"),
     "bristles in a gear": ("bristle", "stribeck", "backlash", "friction_over_position", "lag"),
     "bristles on cogs": ("bristle", "cogging", "viscous_by_direction", "drag", "drift"),
-    "a bridge without a brake": ("runs_free", "no_brake", "dead_band", "source", "load_friction"),
+    "a bridge without a brake": ("runs_free", "no_brake", "free_between", "dead_band", "source", "load_friction"),
     "an arm on a servo": ("load_friction", "source", "force_over_position"),
-    "everything rigid": tuple(name for name in PARTS if name not in ("bristle", "runs_free", "no_brake")),
+    "everything rigid": tuple(
+        name for name in PARTS if name not in ("bristle", "runs_free", "no_brake", "free_between")
+    ),
 }
 CASES = {name: (name,) for name in EACH} | MIXED
 

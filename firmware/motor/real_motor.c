@@ -54,7 +54,8 @@ static motor motor_of(const real_motor *numbers)
     m.turns = m.force_sin_V != 0.0 || m.force_cos_V != 0.0 || m.friction_sin_V != 0.0 || m.friction_cos_V != 0.0;
     m.cogs = m.cogging_sin_V != 0.0 || m.cogging_cos_V != 0.0;
     m.falls = m.stribeck_V != 0.0 && m.stribeck_rad_s > 0.0;
-    m.transmits = m.load_friction != 0.0 || m.source_per_V2 != 0.0 || m.runs_free != 0.0 || m.no_brake != 0.0;
+    m.transmits = m.load_friction != 0.0 || m.source_per_V2 != 0.0 || m.runs_free != 0.0 || m.no_brake != 0.0 ||
+                  m.free_between != 0.0;
     m.mean_cosine = m.turns ? sin(m.half_travel_rad) / m.half_travel_rad : 0.0;
     return m;
 }
@@ -63,6 +64,19 @@ static motor motor_of(const real_motor *numbers)
 static double back_emf(const motor *m, double v)
 {
     return (1.0 - m->viscous_share) * v / m->K_rad_s_V;
+}
+
+/* Share of the time for which the drive `w` connects the motor: it counts where the motor runs free between two pulses. */
+static double pulse_share(const motor *m, double w)
+{
+    return fabs(w) < m->full_drive_V ? fabs(w) / m->full_drive_V : 1.0;
+}
+
+/* What drives at the drive `w` behind the stage: less the back-EMF, of which a share brakes only while a pulse is on, V. */
+static double net_drive(const motor *m, double w, double v)
+{
+    const double back = back_emf(m, v);
+    return m->free_between != 0.0 ? w - back * (1.0 - m->free_between * (1.0 - pulse_share(m, w))) : w - back;
 }
 
 /* What a bridge passes of the torque at a drive of 0, where it may let the motor run free, and against its drive, where it
@@ -76,7 +90,7 @@ static bridge passed(const motor *m, double w, double v)
     bridge all = {1.0, 1.0};
     if (m->lag_s <= 0.0 && (m->runs_free != 0.0 || m->no_brake != 0.0)) {
         all.idle = w == 0.0 ? 1.0 - m->runs_free : 1.0;
-        all.against = w * (w - back_emf(m, v)) <= 0.0 ? 1.0 - m->no_brake : 1.0;
+        all.against = w * net_drive(m, w, v) <= 0.0 ? 1.0 - m->no_brake : 1.0;
     }
     return all;
 }
@@ -86,7 +100,7 @@ static bridge passed(const motor *m, double w, double v)
 static double torque(const motor *m, double w, double v)
 {
     const bridge share = passed(m, w, v);
-    return share.idle * share.against * (w - back_emf(m, v)) / (1.0 + m->source_per_V2 * w * w);
+    return share.idle * share.against * net_drive(m, w, v) / (1.0 + m->source_per_V2 * w * w);
 }
 
 /* A drive behind its dead band, up to the one that a sagging stage gives the most of: beyond it gives no less. */
@@ -152,7 +166,7 @@ static double transmitted(const motor *m, double w, double v, wave here)
 
 static double turning(const motor *m, const real_state *at, wave here)
 {
-    return m->no_brake != 0.0 ? at->w - back_emf(m, at->v) : transmitted(m, at->w, at->v, here);
+    return m->no_brake != 0.0 ? net_drive(m, at->w, at->v) : transmitted(m, at->w, at->v, here);
 }
 
 static double level(const motor *m, double speed, wave here, double t_s)
@@ -401,7 +415,7 @@ static double longest_step(const motor *m, double sign, const real_state *at, do
         const double rate = pull + m->K_rad_s_V * fabs(m->stribeck_V) / tau + 1e-9;
         longest = least(longest, STEP_OF_STRIBECK * fade * unit / rate);
     }
-    if (m->falls || m->drag_V_s2_rad2 != 0.0 || m->runs_free != 0.0 || m->no_brake != 0.0) {
+    if (m->falls || m->drag_V_s2_rad2 != 0.0 || m->runs_free != 0.0 || m->no_brake != 0.0 || m->free_between != 0.0) {
         longest = least(longest, CURVED_STEP * tau);
     } else if (m->turns || m->transmits || spring > 0.0 || m->viscous_by_direction_V_s_rad != 0.0) {
         longest = least(longest, STEP_OF_TAU * tau);

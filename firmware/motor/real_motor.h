@@ -9,7 +9,8 @@
  *     p + (1 - r) v/K,    p = (w - (1 - r) v/K) / (1 + rho w^2),    F larger by L |p + l G|
  *
  * where the share r of 1/K is viscous friction, and the rest is back-EMF. A bridge passes (1 - f) p where w is
- * 0, and (1 - b) p where p w <= 0, but beside a lag.
+ * 0, and (1 - b) p where p w <= 0, but beside a lag. One that lets the motor run free between its pulses connects it for
+ * |w|/U of the time: the back-EMF in p is (1 - c (1 - |w|/U)) (1 - r) v/K.
  *
  * Between two events an exponential Runge-Kutta method of fourth order (Cox and Matthews, J. Comput. Phys. 176, 2002)
  * takes v and p = y + tau v. It is exact where the right side is constant, as it is for a motor without parts. An event
@@ -55,7 +56,9 @@
     NUMBER(viscous_share, PART, 0.0, 1.0) \
     NUMBER(source_per_V2, PART, 0.0, INFINITY) \
     NUMBER(runs_free, PART, 0.0, 1.2) \
-    NUMBER(no_brake, PART, 0.0, 1.2)
+    NUMBER(no_brake, PART, 0.0, 1.2) \
+    NUMBER(free_between, PART, 0.0, 1.2) \
+    NUMBER(full_drive_V, PART, 0.0, INFINITY)
 
 /* The last four are the frame that parts over position and time refer to: constants of a fit. `delay_s` is for those who
  * know when a drive acts: no function here applies it but the readings of a record. */

@@ -79,6 +79,10 @@ static double load_slopes(const motor *m, double sign, torque_side side, const r
     const double gain = m->K_rad_s_V;
     const double w = at->w;
     const double back = back_emf(m, at->v);
+    const double pulses = pulse_share(m, w);
+    const double brakes = 1.0 - m->free_between * (1.0 - pulses); /* share of the back-EMF */
+    const double net = net_drive(m, w, at->v);
+    const double by_full = pulses < 1.0 ? back * m->free_between / m->full_drive_V : 0.0; /* a change of the share, per V */
     const double by_supply = 1.0 / (1.0 + m->source_per_V2 * w * w);
     const double idle = side.passed.idle;
     const double against = side.passed.against;
@@ -86,15 +90,17 @@ static double load_slopes(const motor *m, double sign, torque_side side, const r
     const double seen = transmitted(m, w, at->v, here);
     const double load = side.sign * sign * m->load_friction;
     const double left = 1.0 - load; /* of a change of the torque */
-    by->aw = gain * left * share * (1.0 - 2.0 * m->source_per_V2 * w * (w - back) * by_supply);
-    by->av += (1.0 - m->viscous_share) * (1.0 - left * share);
-    a[AT_K_rad_s_V] += back * (left * share - 1.0);
+    by->aw = gain * left * share * (1.0 - (w > 0.0 ? by_full : -by_full) - 2.0 * m->source_per_V2 * w * net * by_supply);
+    by->av += (1.0 - m->viscous_share) * (1.0 - left * share * brakes);
+    a[AT_K_rad_s_V] += back * (left * share * brakes - 1.0);
     a[AT_load_friction] = -gain * sign * fabs(seen);
     a[AT_load_outside] = -gain * load * force(m, here);
-    a[AT_viscous_share] = at->v * (left * share - 1.0);
-    a[AT_source_per_V2] = -gain * left * (w - back) * w * w * share * by_supply;
-    a[AT_runs_free] = idle != 1.0 ? -gain * left * (w - back) * against * by_supply : 0.0;
-    a[AT_no_brake] = against != 1.0 ? -gain * left * (w - back) * idle * by_supply : 0.0;
+    a[AT_viscous_share] = at->v * (left * share * brakes - 1.0);
+    a[AT_source_per_V2] = -gain * left * net * w * w * share * by_supply;
+    a[AT_runs_free] = idle != 1.0 ? -gain * left * net * against * by_supply : 0.0;
+    a[AT_no_brake] = against != 1.0 ? -gain * left * net * idle * by_supply : 0.0;
+    a[AT_free_between] = gain * left * share * back * (1.0 - pulses);
+    a[AT_full_drive_V] = gain * left * share * by_full * pulses;
     return -gain * (1.0 + load * m->load_outside);
 }
 

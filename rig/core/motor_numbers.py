@@ -181,6 +181,20 @@ class RealMotor(NamedTuple):
             least=0.0, below=1.2, steers=True,
         ),
     ] = 0.0  # fmt: skip
+    free_between: Annotated[
+        float,
+        Number(
+            "1", "c: share of the back-EMF that brakes only while a pulse is on, for |w|/U of the time",
+            ("free_between",), "c", least=0.0, below=1.2, steers=True,
+        ),
+    ] = 0.0  # fmt: skip
+    full_drive_V: Annotated[
+        float,
+        Number(
+            "V", "U: drive at which the pulses meet; tau and K are those of it", ("free_between",), "U", is_shape=True,
+            least=0.0,
+        ),
+    ] = 0.0  # fmt: skip
 
 
 class Frame(NamedTuple):

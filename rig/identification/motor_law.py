@@ -666,7 +666,7 @@ def _found(law: Departure, fit: Fit, covariance: Array, gain: float) -> FoundLaw
     half = student_975(_freedom(fit)) * error
     ci95 = as_likely(fit, law) if law.leaps else (size - half, size + half)
     price = law.costs * math.log(_freedom(fit))
-    fields = () if law.name == LEVEL_EACH else (*law.numbers, *law.shape)  # no other record has such a level
+    fields = () if law.name == LEVEL_EACH else law.fields  # no other record has such a level
     numbers = {name: float(getattr(fit.motor, name)) for name in fields}
     return FoundLaw(law, size, ci95, gain - price, numbers)
 

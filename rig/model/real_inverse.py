@@ -45,13 +45,23 @@ def drive_for_torque(m: RealMotor, torque_V: float, v: float, outside_V: float, 
     against = math.copysign(m.load_friction, direction * seen_V) if direction != 0.0 else 0.0
     passed_V = torque_V + against * seen_V / (1.0 - against)
     back_V = (1.0 - m.viscous_share) * v / m.K_rad_s_V
-    if m.no_brake > 0.0 and min(0.0, -back_V) < passed_V < max(0.0, -back_V):
-        if abs(passed_V) >= (1.0 - m.no_brake) * abs(back_V):
+    braking_V = (1.0 - m.free_between) * back_V  # at no drive
+    if m.no_brake > 0.0 and min(0.0, -braking_V) < passed_V < max(0.0, -braking_V):
+        if abs(passed_V) >= (1.0 - m.no_brake) * abs(braking_V):
             return 0.0  # no drive brakes so: with the motion it is too little, against it too much
         passed_V /= 1.0 - m.no_brake
-    wanted_V = passed_V + back_V
-    inside = 1.0 - 4.0 * m.source_per_V2 * passed_V * wanted_V
-    return 2.0 * wanted_V / (1.0 + math.sqrt(max(inside, 0.0)))  # beyond it no drive gives as much
+    always_on_V = _against_supply(m, passed_V, passed_V + back_V, 1.0)
+    if m.free_between <= 0.0 or abs(always_on_V) >= m.full_drive_V:
+        return always_on_V
+    wanted_V = passed_V + braking_V
+    gain = 1.0 - math.copysign(m.free_between / m.full_drive_V, wanted_V) * back_V  # of a drive, whose pulses brake
+    return _against_supply(m, passed_V, wanted_V, gain) if gain > 0.0 else 0.0
+
+
+def _against_supply(m: RealMotor, passed_V: float, wanted_V: float, gain: float) -> float:
+    """Drive w with ``gain * w = wanted_V + rho w^2 passed_V``, V; where no drive gives as much, the one that gives most."""
+    inside = gain**2 - 4.0 * m.source_per_V2 * passed_V * wanted_V
+    return 2.0 * wanted_V / (gain + math.sqrt(max(inside, 0.0)))
 
 
 def still_share(m: RealMotor, speed_rad_s: float) -> float:
@@ -81,7 +91,7 @@ def drive_for(
     viscous = abs(v) * (m.viscous_by_direction_V_s_rad + m.drag_V_s2_rad2 * v)
     outside_V = force(m, frame, y)
     wanted_V = (m.tau_s * acceleration_rad_s2 + v) / m.K_rad_s_V + outside_V + friction + viscous - m.bias_V
-    if m.load_friction > 0.0 or m.source_per_V2 > 0.0 or m.no_brake > 0.0:
+    if m.load_friction > 0.0 or m.source_per_V2 > 0.0 or m.no_brake > 0.0 or m.free_between > 0.0:
         back_V = (1.0 - m.viscous_share) * v / m.K_rad_s_V
         wanted_V = drive_for_torque(m, wanted_V - back_V, v, outside_V, direction)
     return drive_before_stage(m, wanted_V)

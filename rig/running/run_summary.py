@@ -220,7 +220,7 @@ def true_laws(bench: BenchParameters) -> tuple[results.TrueLaw, ...] | None:
         values = [getattr(motor, name) for name in law.numbers]
         if any(values):
             size = values[0] if len(values) == 1 else math.hypot(*values)
-            numbers = {name: getattr(motor, name) for name in (*law.numbers, *law.shape)}
+            numbers = {name: getattr(motor, name) for name in law.fields}
             found.append(results.TrueLaw(name=law.name, value=size, unit=law.unit, numbers=numbers))
     return tuple(found)
 

@@ -27,6 +27,7 @@ SIZES: dict[str, dict[str, float]] = {
     "load_friction": {"load_friction": 0.15, "viscous_share": 0.3},
     "source": {"source_per_V2": 0.02, "viscous_share": 0.3},
     "no_brake": {"no_brake": 0.5, "fc_V": 0.05},  # with more friction the drive never brakes
+    "free_between": {"free_between": 0.8, "full_drive_V": 6.0},
     "gain_by_sign": {"gain_by_sign": 0.1},
     "sag": {"sag_per_V": 0.1},
     "lag": {"lag_s": 0.015},

@@ -42,6 +42,7 @@ LAWS: dict[str, dict[str, float]] = {
     "source": {"source_per_V2": 0.002, "viscous_share": 0.1},
     "runs_free": {"runs_free": 0.8},
     "no_brake": {"no_brake": 0.8},
+    "free_between": {"free_between": 0.8, "full_drive_V": 8.0},
 }  # fmt: skip
 assert all(set(numbers) == set(PARTS[name]) for name, numbers in LAWS.items())
 

@@ -47,6 +47,8 @@ MOTORS = st.fixed_dictionaries(
         "viscous_share": st.floats(0.0, 0.5),
         "source_per_V2": st.floats(0.0, 1e-3),
         "no_brake": st.sampled_from([0.0, 0.5]),
+        "free_between": st.sampled_from([0.0, 0.6, 1.0]),
+        "full_drive_V": st.floats(3.0, 30.0),
     }
 ).map(lambda numbers: RealMotor(**numbers))
 

@@ -60,7 +60,8 @@ class Reference:
 
     def torque(self, w: float, v: float) -> float:
         m = self.m
-        drives = w - (1.0 - m.viscous_share) * v / m.K_rad_s_V
+        off = 1.0 - min(abs(w) / m.full_drive_V, 1.0) if m.free_between > 0.0 else 0.0
+        drives = w - (1.0 - m.free_between * off) * (1.0 - m.viscous_share) * v / m.K_rad_s_V
         passed = 1.0 - m.runs_free if w == 0.0 else 1.0
         passed *= 1.0 - m.no_brake if w * drives <= 0.0 else 1.0
         return passed * drives / (1.0 + m.source_per_V2 * w * w)
@@ -218,7 +219,7 @@ def difference(motor: RealMotor, place: int, record: Record) -> np.ndarray:
     return np.asarray((at(1.0) - at(-1.0)) / (2.0 * size))
 
 
-ABSENT = PLAIN._replace(stribeck_rad_s=0.3, cogging_per_rad=12.0)
+ABSENT = PLAIN._replace(stribeck_rad_s=0.3, cogging_per_rad=12.0, full_drive_V=2.5)
 NO_SLOPE_AT_ZERO = ("bristle_V_rad", "stribeck_rad_s", "cogging_per_rad")
 
 

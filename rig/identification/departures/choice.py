@@ -58,7 +58,8 @@ FIRST_STEP = 1.0  # first size of a law, at most so many times its range
 WITHIN_STEP, NEARLY_ALL = 0.65, 0.99
 OF_STEP = 0.5  # mean way from row to row, of a step of the sensor: below it rows lie within the steps
 STEPS_SHOW = 2.0  # coloured noise over white noise in a residual that is a coarse sensor's steps
-LAW_BLOCK = (0.5, 6.0)  # length of blocks in which a law must show, s, and in time constants: the longer of both
+# length of blocks in which a law must show, s, in time constants, and in steps of the sensor: the longest of them
+LAW_BLOCK, LAW_STEPS = (0.5, 6.0), 32.0
 # Error in blocks of a plain motor that needs no law, if laws move tau, K and friction by no more than a share of each;
 # friction counts as no smaller than so much of the largest drive
 FINE, MOVES, SMALL = 1e-3, 0.025, 0.03
@@ -219,6 +220,12 @@ class Chooser:
         """Whether rows lie within the steps of a coarse sensor: then their errors are not white, whatever they seem."""
         return self.bench.path_per_row_rad <= OF_STEP * self.step_rad
 
+    def _blocks(self, whole: Cut, tau_s: float) -> Blocks:
+        """Blocks in which a law must show, for a motor of this time constant."""
+        row_s = sum(window.duration_s for window in whole.windows) / whole.t_s.size
+        of_steps_s = LAW_STEPS * self.step_rad / max(self.bench.path_per_row_rad, 1e-12) * row_s
+        return Blocks.of(whole, tau_s, (max(LAW_BLOCK[0], of_steps_s), LAW_BLOCK[1]))
+
     def _steps_hide(self, whole: Cut, motor: RealMotor) -> bool:
         """Whether the steps of a coarse sensor hide any law.
 
@@ -227,7 +234,7 @@ class Chooser:
         """
         if not self.within_steps:
             return False
-        blocks = Blocks.of(whole, motor.tau_s, LAW_BLOCK)
+        blocks = self._blocks(whole, motor.tau_s)
         noise = np.array(blocks.cut.lengths) * self.sigma_rad**2
         squares = blocks.held_out(self.problem(blocks.cut, (), math.inf), motor, starts_known=True)
         most = 1.0 - math.exp(-0.5 * float(np.mean(np.log(np.maximum(squares / noise, 1.0)))))
@@ -304,7 +311,7 @@ class Chooser:
         tells_all = len(fit.problem.cut.begins) == len(whole.begins)
         if tells_all and fit.rms_rad <= AT_NOISE * self.sigma_rad and not self.within_steps:
             return fit, laws
-        blocks = Blocks.of(whole, fit.motor.tau_s, LAW_BLOCK)
+        blocks = self._blocks(whole, fit.motor.tau_s)
         rows = np.array(blocks.cut.lengths)
         noise = rows * (self.sigma_rad * blocks.cut.adds_up) ** 2
         chance = noise
@@ -624,7 +631,7 @@ def _gain(fit: Fit, richer: Fit) -> float:
 
 def without(motor: RealMotor, law: Departure) -> RealMotor:
     """The motor without a law."""
-    return motor._replace(**dict.fromkeys((*law.numbers, *law.shape), 0.0))
+    return motor._replace(**dict.fromkeys(law.fields, 0.0))
 
 
 def by_size(fit: Fit, law: Departure) -> list[tuple[float, Fit]]:

@@ -31,6 +31,7 @@ class Bench:
     small_drives_V      sizes of the drives below a tenth of the largest, V; at most six
     goes_along          whether the drive always pushes the way that the shaft turns, and never rests
     delay_s             of the plain motor, s
+    full_V              drive at which a pulse never ends, V, where somebody has said it; else the largest of the record
     """
 
     K_rad_s_V: float
@@ -43,6 +44,7 @@ class Bench:
     small_drives_V: tuple[float, ...] = ()
     goes_along: bool = False
     delay_s: float = 0.0
+    full_V: float = 0.0
 
     @property
     def half_drive_V(self) -> float:
@@ -84,6 +86,7 @@ class Departure:
     over_position    whether it goes with the angle: such a law needs positions that are angles, finely sampled
     numbers          fields of ``RealMotor`` that are 0 without it; its size is their root sum of squares
     shape            its further fields, fitted with it; they have no effect while ``numbers`` are 0
+    held             those that a trial sets, and no fit changes
     unit             of its size
     one_sided        whether its numbers are never below 0
     costs            how many numbers it has in a fit, for Schwarz's criterion
@@ -113,17 +116,23 @@ class Departure:
     unit: str = ""
     one_sided: bool = False
     costs: int = 0
+    held: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.numbers:
             of_table = {name: NUMBERS[name] for name in PARTS[self.name]}
             own = [name for name, number in of_table.items() if not number.is_shape]
             object.__setattr__(self, "numbers", tuple(own))
-            object.__setattr__(self, "shape", tuple(name for name in of_table if name not in own))
+            object.__setattr__(self, "shape", tuple(name for name in of_table if name not in (*own, *self.held)))
             object.__setattr__(self, "unit", of_table[own[0]].unit)
             object.__setattr__(self, "one_sided", all(of_table[name].of_benches == 0.0 for name in own))
         if not self.costs:
             object.__setattr__(self, "costs", len(self.numbers + self.shape))
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """All its fields of ``RealMotor``."""
+        return (*self.numbers, *self.shape, *self.held)
 
     def most(self, bench: Bench) -> float:
         """Largest size that a fit may give it, in ``unit``: a voltage may be as large as the largest drive.

@@ -218,6 +218,12 @@ DEPARTURES: list[Departure] = [
         lambda bench: 1.0, _COASTING, trials=lambda bench: _from("no_brake", 0.8),
         limits=lambda bench: {"no_brake": FREE}, largest=FREE[1],
     ),
+    Departure(
+        "free_between", "bridge that lets the motor run free between its pulses", "PWM at the enable of an L298? tau and K are those at full drive",
+        lambda bench: 0.1, "drives of several sizes, with coasting at 0 V between them",
+        trials=lambda bench: [{"full_drive_V": bench.full_V}], held=("full_drive_V",),
+        limits=lambda bench: {"free_between": (0.0, FREE[1])}, largest=FREE[1], may_hide=False,
+    ),
 ]  # fmt: skip
 
 DRIFT_EACH: Final = Departure(

@@ -283,10 +283,12 @@ class Cut:
     def bench(self, motor: RealMotor, linearity_rad: float) -> Bench:
         """Sizes of this motor and record."""
         speeds = np.abs(self.guessed()[:, 0])
+        largest_V = max(float(np.abs(window.steps.u_V).max()) for window in self.windows)
+        full_V = max(window.series.most_V for window in self.windows)
         return Bench(
             motor.K_rad_s_V,
             motor.fc_V,
-            max(float(np.abs(window.steps.u_V).max()) for window in self.windows),
+            largest_V,
             max(float(np.quantile(speeds, 0.95)), 1e-9),
             self.frames[0].half_travel_rad,
             linearity_rad,
@@ -294,6 +296,7 @@ class Cut:
             self._small_drives(),
             all(_goes_along(window) for window in self.windows),
             motor.delay_s,
+            full_V if math.isfinite(full_V) else largest_V,
         )
 
     def _small_drives(self) -> tuple[float, ...]:

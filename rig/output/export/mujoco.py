@@ -22,6 +22,7 @@ SHAFT_SHARE = 1e-6  # of the inertia, about the body's own centre: MuJoCo wants 
 BY_HAND = (
     "dead_band", "gain_by_sign", "sag", "viscous_by_direction", "static", "stribeck", "friction_over_position",
     "cogging", "linearity", "load_friction", "source", "runs_free", "no_brake",
+    "free_between",
 )  # fmt: skip
 LACKS = {part: why for part, why in NOT_RIGID.items() if part not in BY_HAND}
 
