@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identification.estimate import Estimate
-from rig.identification.in_pieces import MOST_ROWS, plain_residual_rad
+from rig.identification.in_pieces import MOST_ROWS, free_between, plain_in_pieces, plain_residual_rad
 from rig.identification.lowest import lowest
 from rig.run_folder.recording.series import Steps, TimeSeries, delays_of_all_s, noise_of_all_rad
 
@@ -66,7 +66,9 @@ def limit_of(tests: Sequence[TimeSeries], plain: Estimate) -> Limit:
         limit, left = _best(0.0, largest_V, tests, plain)
         cut_off = int(np.sum(BEYOND * sizes > limit.drive_V / largest_V))
         if left < max(LEAVES * noise_rad, CUTS * without) and cut_off >= FEWEST_SIZES:
-            return limit
+            # behind a bridge that lets the motor run free between its pulses, the speed grows ever less with the drive
+            free = plain_in_pieces(tests, plain, free_between(tests))
+            return Limit() if free.rms_rad < left else limit
     if any(test.edges is not None or test.t_u_s is not None for test in tests):
         return Limit()
     top_rad_s = max(float(np.quantile(_speeds(test), FASTEST)) for test in tests)

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from rig.core.arrays import Array
+from rig.core.motor_numbers import NUMBERS
 from rig.identification.chance import student_975
 from rig.identification.departures.blocks import Blocks
 from rig.identification.departures.departure import LARGEST_FORCE, NOTHING
@@ -128,6 +129,11 @@ def plain_residual_rad(tests: Sequence[TimeSeries], plain: Estimate) -> float:
     return plain_in_pieces(tests, plain).rms_rad
 
 
+def free_between(tests: Sequence[TimeSeries]) -> Mapping[str, float]:
+    """A bridge that lets the motor run free between its pulses, to begin with."""
+    return {"free_between": 0.8, "full_drive_V": max(float(np.abs(test.steps.u_V).max()) for test in tests)}
+
+
 def plain_in_pieces(tests: Sequence[TimeSeries], plain: Estimate, bridge: Mapping[str, float] = NOTHING) -> Fit:
     """The plain motor, begun at ``plain``, on pieces of half a second.
 
@@ -142,8 +148,9 @@ def plain_in_pieces(tests: Sequence[TimeSeries], plain: Estimate, bridge: Mappin
     cut = Cut.whole(thin, delay_s[1]).every(PIECE_S)
     free = tuple(name for name in (*CORE, DELAY) if name != "bias_V" or not one_way(thin))
     motor = RealMotor(plain.tau_s, plain.K_rad_s_V, max(plain.fc_V, 0.0), plain.asym_V, max(plain.delay_s, 0.0))
-    limits = limits_of(free, cut, delay_s) | dict.fromkeys(bridge, FREE)
-    problem = Problem(cut, (*free, *bridge), limits, 1e-3 * cut.frames[0].half_travel_rad)
+    sizes = [name for name in bridge if not NUMBERS[name].is_shape]
+    limits = limits_of(free, cut, delay_s) | dict.fromkeys(sizes, FREE)
+    problem = Problem(cut, (*free, *sizes), limits, 1e-3 * cut.frames[0].half_travel_rad)
     if bridge:
         motor = motor._replace(tau_s=max(plain.tau_s, 4.0 * thin[0].period_s), **bridge)
     return solve(begin(problem, motor), PIECE_ITERATIONS, ROUGHLY)

@@ -59,7 +59,7 @@ def drive_for_torque(m: RealMotor, torque_V: float, v: float, outside_V: float, 
 
 
 def _against_supply(m: RealMotor, passed_V: float, wanted_V: float, gain: float) -> float:
-    """Drive w with ``gain * w = wanted_V + rho w^2 passed_V``, V; where no drive gives as much, the one that gives most."""
+    """Drive w with ``gain w = wanted_V + rho w^2 passed_V``, V; where none gives as much, the one that gives most."""
     inside = gain**2 - 4.0 * m.source_per_V2 * passed_V * wanted_V
     return 2.0 * wanted_V / (gain + math.sqrt(max(inside, 0.0)))
 

@@ -219,10 +219,10 @@ DEPARTURES: list[Departure] = [
         limits=lambda bench: {"no_brake": FREE}, largest=FREE[1],
     ),
     Departure(
-        "free_between", "bridge that lets the motor run free between its pulses", "PWM at the enable of an L298? tau and K are those at full drive",
+        "free_between", "bridge that lets the motor run free between its pulses", "slow PWM at the enable of an L298?",
         lambda bench: 0.1, "drives of several sizes, with coasting at 0 V between them",
-        trials=lambda bench: [{"full_drive_V": bench.full_V}], held=("full_drive_V",),
-        limits=lambda bench: {"free_between": (0.0, FREE[1])}, largest=FREE[1], may_hide=False,
+        trials=lambda bench: [{"free_between": size, "full_drive_V": bench.full_V} for size in (0.4, 0.8)],
+        limits=lambda bench: {"free_between": (0.0, FREE[1])}, largest=FREE[1], held=("full_drive_V",), may_hide=False,
     ),
 ]  # fmt: skip
 

@@ -113,6 +113,9 @@ def graded_words(answer: Answer) -> str:
 def validity(answer: Answer) -> Iterator[str]:
     """Where an answer holds, and how well it predicts what it has not seen: a line each, where that is known."""
     holds, predicts = answer.holds, answer.predicts
+    for law in answer.law or ():
+        if full_V := (law.numbers or {}).get("full_drive_V"):
+            yield f"tau and K are those at a drive of {full_V:.3g} V: below it both are larger"
     if holds is not None and holds.drive_V is not None and holds.speed_rad_s is not None:
         ways = "both ways" if holds.ways == "both" else "one way"
         drive, speed = (
