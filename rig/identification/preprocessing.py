@@ -100,7 +100,7 @@ def _as_commanded(recording: Recording, rows: slice, name: str) -> tuple[TimeSer
     missing = int((~known[start:]).sum())
     if missing > 0.2 * t_s.size:
         notes.append(f"{name}: t_u_s is missing in {missing} rows and was not used")
-        return TimeSeries(t_s, y_rad, None, u_V, first, name, stage=stage), notes
+        return TimeSeries(t_s, y_rad, None, u_V, first, name, stage=stage, most_V=recording.most_V), notes
     latency = float(np.median((t_u_s - t_s)[known]))
     filled = np.where(known, t_u_s, t_s + latency)[start:]
     if missing:
@@ -110,7 +110,10 @@ def _as_commanded(recording: Recording, rows: slice, name: str) -> tuple[TimeSer
         filled = np.maximum.accumulate(filled)
     error_s = _times_error_s(recording)
     shift_s = max(recording.meta.times_shift_s or 0.0, 0.0)
-    series = TimeSeries(t_s[start:], y_rad[start:], filled, u_V[start:], first + start, name, error_s, shift_s, stage)
+    series = TimeSeries(
+        t_s[start:], y_rad[start:], filled, u_V[start:], first + start, name, error_s, shift_s, stage,
+        most_V=recording.most_V,
+    )  # fmt: skip
     return _with_delay(series, recording.delay, notes), notes
 
 

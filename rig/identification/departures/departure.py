@@ -31,6 +31,7 @@ class Bench:
     small_drives_V      sizes of the drives below a tenth of the largest, V; at most six
     goes_along          whether the drive always pushes the way that the shaft turns, and never rests
     delay_s             of the plain motor, s
+    tau_s               of the plain motor, s
     full_V              drive at which a pulse never ends, V, where somebody has said it; else the largest of the record
     """
 
@@ -44,6 +45,7 @@ class Bench:
     small_drives_V: tuple[float, ...] = ()
     goes_along: bool = False
     delay_s: float = 0.0
+    tau_s: float = 0.0
     full_V: float = 0.0
 
     @property

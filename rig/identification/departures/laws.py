@@ -78,6 +78,14 @@ def _wave_V(bench: Bench) -> float:
     return max(0.2 * bench.fc_V, min(0.01, bench.half_drive_V))
 
 
+def _free_between(bench: Bench, size: float) -> Start:
+    """So large by the largest drive of the record, at which the motor stays as it is: at full drive it has less K."""
+    by_full = size * bench.full_V / bench.largest_V
+    brakes = 1.0 - size + by_full  # at full drive, over what brakes at the largest one
+    found = {"free_between": by_full / brakes, "full_drive_V": bench.full_V}
+    return found | {"tau_s": bench.tau_s / brakes, "K_rad_s_V": bench.K_rad_s_V / brakes}
+
+
 def _most_per_rad(bench: Bench) -> float:
     return min(MOST_PER_RAD, ROW_RAD / max(bench.path_per_row_rad, 1e-9))
 
@@ -221,7 +229,7 @@ DEPARTURES: list[Departure] = [
     Departure(
         "free_between", "bridge that lets the motor run free between its pulses", "slow PWM at the enable of an L298?",
         lambda bench: 0.1, "drives of several sizes, with coasting at 0 V between them",
-        trials=lambda bench: [{"free_between": size, "full_drive_V": bench.full_V} for size in (0.4, 0.8)],
+        trials=lambda bench: [_free_between(bench, size) for size in (0.4, 0.8)],
         limits=lambda bench: {"free_between": (0.0, FREE[1])}, largest=FREE[1], held=("full_drive_V",), may_hide=False,
     ),
 ]  # fmt: skip

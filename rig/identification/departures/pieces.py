@@ -296,6 +296,7 @@ class Cut:
             self._small_drives(),
             all(_goes_along(window) for window in self.windows),
             motor.delay_s,
+            motor.tau_s,
             full_V if math.isfinite(full_V) else largest_V,
         )
 

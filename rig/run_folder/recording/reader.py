@@ -6,6 +6,7 @@ file, no link, of a bounded size, in strict JSON (``strict_json``) of bounded de
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -92,9 +93,11 @@ def read_run(folder: Path, known: Recording | None = None, *, strict: bool = Fal
     config_text = read_config_text(folder)
     events, event_notes = read_events(folder, strict=strict)
     notes = (*recording.notes, *([f"{META} is missing"] if meta is None else meta_notes), *event_notes)
+    most_V = math.inf if meta is None or meta.drive is None else meta.drive.full_V
     return replace(
-        recording, source=folder, meta=meta or RunMeta(), config_text=config_text, events=events, notes=notes
-    )
+        recording, source=folder, meta=meta or RunMeta(), config_text=config_text, events=events, notes=notes,
+        most_V=most_V,
+    )  # fmt: skip
 
 
 def read_result(folder: Path) -> tuple[RunResult | None, list[str]]:

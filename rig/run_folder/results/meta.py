@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Final, Literal
 
 from pydantic import Field, JsonValue
@@ -31,6 +32,12 @@ class SupplyBelieved(Part):
     supply_V: Number = key("supply of the bridge, V")
     bridge_drop_V: Number = key("voltage drop in the bridge, V")
     supply_error_percent: Sometimes[Number] = key("largest error of supply_V, %")
+
+    @property
+    def full_V(self) -> float:
+        """What the motor gets at full drive, V; inf: not known."""
+        supply_V, drop_V = self.supply_V, self.bridge_drop_V or 0.0
+        return math.inf if supply_V is None or not 0.0 <= drop_V < supply_V else supply_V - drop_V
 
 
 class SensorBelieved(Part):
