@@ -46,6 +46,7 @@ CYCLES = (0.9, 2.5, 6.0)  # lengths of the pieces, in cycles; then the whole tes
 TRIED = 3  # laws that are fitted, of those that promise most
 TRIAL_ITERATIONS = 12
 NEAR = 0.05  # of what a law must bring: above noise or behind steps a trial that gains less in a step is near its end
+FINISHED = 0.1  # residual of such a trial over that without its law, below which it is fitted to its end
 RESHAPED = 2  # starts of a law's shape that are fitted again on longer pieces
 MOST = 4  # laws of one motor
 ROBUST = 3.0  # residuals beyond so many standard deviations count by their size
@@ -499,6 +500,8 @@ class Chooser:
             law = promise.law
             trial = self.with_laws(fit, (*laws, law), fit.motor._replace(**promise.first))
             trial = solve(in_valley(trial, law) if law.valley else trial, TRIAL_ITERATIONS, near)
+            if is_far and trial.rms_rad < FINISHED * fit.rms_rad:  # near an end of what was far: there a step says less
+                trial = solve(trial, TRIAL_ITERATIONS)
             trial = at_best_size(trial, law) if law.leaps else trial
             return _gain(fit, trial) - price(law), trial, (*laws, law)
 
