@@ -44,6 +44,7 @@ from rig.run_folder.results.part import Part
 from rig.running.preflight.loop_settings import guard_settings_of
 from rig.running.run_summary import Findings, least_result, run_meta, run_result, run_time
 
+FREE_BRIDGES = ("runs_free", "no_brake", "free_between")  # laws
 COASTING = 2.0  # estimated no-load speed over that of the data sheet from which on the bridge is doubted
 MOST_TESTS = 40  # designed tests of one run
 FADE_S = 1.5  # of the tracking reference; errors count after it
@@ -361,12 +362,17 @@ def _conclude(session: Session, outcome: Outcome) -> Outcome:
 
 
 def beside_data_sheet(e: Experiment, identification: Identification) -> list[str]:
-    """A note if the motor is faster than the config says: the bound on unseen travel depends on that speed.
+    """A note if the bridge does not brake, or the motor is faster than the config says: room to stop counts on both.
 
-    By a bridge that lets the motor run free while PWM is low, K and tau come out several times too large, because its
-    drive brakes for its share of the time only (docs/real-bench.md).
+    By a bridge that lets the motor run free while PWM is low, K and tau come out several times too large where the
+    tests do not show it, because its drive brakes for its share of the time only (docs/real-bench.md).
     """
-    best = identification.leading
+    best, answer = identification.leading, identification.answer
+    if answer is not None and any(law.name in FREE_BRIDGES for law in answer.law or ()):
+        return [
+            "by these tests the bridge lets the motor run free: 0 V does not stop it in the room that `rig check` "
+            "counts; docs/real-bench.md names the wires to move"
+        ]
     if e.motor is None or best is None or not best.is_motor:
         return []
     expected_rad_s = e.motor.no_load_speed_rad_s

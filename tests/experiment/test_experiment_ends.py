@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -68,6 +69,14 @@ def test_a_bridge_that_lets_the_motor_run_free_is_named_and_nothing_is_believed(
     assert [fault["code"] for fault in result["faults"]] == ["NO_CYCLE"]  # in the relay test, behind the check
     assert result["estimates"]["sampled-data"]["verdict"] == "refused"
     assert any("lets the motor run free" in note for note in result["notes"])
+
+
+@pytest.mark.parametrize("law", ["free_between", "no_brake", "runs_free", "drag"])
+def test_a_bridge_that_an_answer_names_is_a_note_on_the_room_to_stop(tmp_path: Path, law: str) -> None:
+    answer = SimpleNamespace(law=[SimpleNamespace(name=law)])
+    found: Any = SimpleNamespace(leading=None, answer=answer)
+    notes = session.beside_data_sheet(configs.load(quick(tmp_path)), found)
+    assert ["0 V does not stop it" in note for note in notes] == [True] * (law != "drag")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, *evidence(signal.SIGTERM, signal.SIGHUP)])

@@ -65,7 +65,7 @@ def _errors(found: Identification, one: Case) -> list[float]:
 def test_there_is_a_law_for_each_part_of_the_model() -> None:
     assert [law.name for law in DEPARTURES] == list(PARTS)
     for law in DEPARTURES:
-        assert set(law.numbers) | set(law.shape) == set(PARTS[law.name])
+        assert set(law.fields) == set(PARTS[law.name])
 
 
 @pytest.mark.parametrize(

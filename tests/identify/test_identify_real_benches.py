@@ -870,6 +870,27 @@ def test_a_bridge_that_lets_the_motor_run_free_at_0_V_is_found(noise_rad: float)
     assert answer.law is not None and "runs_free" in [law.name for law in answer.law]
 
 
+@pytest.mark.parametrize("drive", ["levels", *evidence("sine")])
+def test_a_bridge_that_lets_the_motor_run_free_between_its_pulses_is_found(drive: str) -> None:
+    """A sine was taken for a drive that is limited, levels for sag, no brake, Stribeck effect and drag: no number held.
+
+    tau and K are those at 12 V: nearly nine tenths of the damping are there for the share of a pulse alone.
+    """
+    t_s = np.linspace(0.0, 8.0, 1600, endpoint=False)
+    u_V = 7.0 * np.sin(3.0 * t_s)
+    if drive == "levels":
+        u_V = np.repeat([9.0, 0.0, 4.0, -7.0, 3.0, 6.0, -3.0, 0.0], 40)[np.arange(t_s.size) % 320]
+    motor = MOTOR._replace(free_between=0.9, full_drive_V=12.0)
+    y_rad = response(motor, Frame(duration_s=8.0), (t_s, u_V), t_s, Pieces.one())
+    record = from_columns(Path("log.csv"), t_s, u_V, STEP_RAD * np.floor(y_rad / STEP_RAD + 0.5))
+    answer = identify([replace(record, most_V=12.0)]).answer
+    assert answer is not None and answer.law is not None and answer.grade is not None
+    assert answer.verdict == "ok" and [law.name for law in answer.law] == ["free_between"]
+    for name in ("tau_s", "K_rad_s_V", "fc_V"):
+        half, true = answer.grade[name].u95, getattr(motor, name)
+        assert half is not None and abs(answer.value(name) - true) < half < 0.05 * true
+
+
 @pytest.mark.evidence
 def test_a_column_that_was_smoothed_behind_a_bridge_that_does_not_brake_is_undone() -> None:
     """None was looked for there: tau was up to 116 % off beside 17 %."""

@@ -11,6 +11,7 @@ from simulated_bench import DEMO
 from rig.model.bench import BenchModel, BenchParameters
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
+from rig.model.real_motor import Frame, MovingMotor, plain
 
 
 def drives(bench: BenchModel, shift_s: float = 0.0, step_s: float = 0.003) -> list[tuple[float, float]]:
@@ -38,6 +39,18 @@ def test_behind_a_coasting_bridge_friction_alone_stops_the_motor() -> None:
         bench.pin_counts = 799.0
         bench.advance(5.0)
         assert bench.state.v == pytest.approx(6.5 * 11.5)
+
+
+def test_such_a_bench_is_a_motor_whose_bridge_lets_it_run_free_between_pulses() -> None:
+    motor = Motor(0.17, 6.5, Friction(0.5, 0.5, 0.5, 0.5), bias_V=0.05)
+    bench = BenchModel(BenchParameters(motor, coasting=True, stop_rad=(-1e3, 1e3)), 1)
+    law = MovingMotor(plain(motor)._replace(free_between=1.0, full_drive_V=12.0), Frame(), 0.0)
+    for counts in (250.0, 799.0, 120.0, 0.0, -300.0, 90.0, 0.0):
+        bench.pin_counts = counts
+        bench.advance(0.3)
+        law.advance(bench.motor_V, 0.0, 0.3)
+        # the bench is connected for a millionth of the time at least
+        assert law.state[:2] == pytest.approx((bench.state.v, bench.state.y), abs=2e-4)
 
 
 @pytest.mark.parametrize("delay_s", [0.006, 0.036, 0.12])
