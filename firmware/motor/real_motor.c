@@ -415,7 +415,7 @@ static double longest_step(const motor *m, double sign, const real_state *at, do
         const double rate = pull + m->K_rad_s_V * fabs(m->stribeck_V) / tau + 1e-9;
         longest = least(longest, STEP_OF_STRIBECK * fade * unit / rate);
     }
-    if (m->falls || m->drag_V_s2_rad2 != 0.0 || m->runs_free != 0.0 || m->no_brake != 0.0 || m->free_between != 0.0) {
+    if (m->falls || m->drag_V_s2_rad2 != 0.0 || m->runs_free != 0.0 || m->no_brake != 0.0) {
         longest = least(longest, CURVED_STEP * tau);
     } else if (m->turns || m->transmits || spring > 0.0 || m->viscous_by_direction_V_s_rad != 0.0) {
         longest = least(longest, STEP_OF_TAU * tau);

@@ -235,7 +235,7 @@ class Chooser:
         """
         if not self.within_steps:
             return False
-        blocks = self._blocks(whole, motor.tau_s)
+        blocks = Blocks.of(whole, motor.tau_s, LAW_BLOCK)
         noise = np.array(blocks.cut.lengths) * self.sigma_rad**2
         squares = blocks.held_out(self.problem(blocks.cut, (), math.inf), motor, starts_known=True)
         most = 1.0 - math.exp(-0.5 * float(np.mean(np.log(np.maximum(squares / noise, 1.0)))))
