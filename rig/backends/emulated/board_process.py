@@ -10,11 +10,15 @@ import signal
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from rig.backends.emulated.errors import EmulationError
+
+if TYPE_CHECKING:  # not on Windows
+    from rig.backends.emulated.real_time import Served
 
 _START_S = 10.0
 _STOP_S = 3.0
@@ -55,10 +59,10 @@ class BoardProcess:
         )
         return self._await_port()
 
-    def _launch_module(self, module: str, device: object, link: Path | None, trace: Path | None, **options: str) -> str:
-        """As ``_launch``, of one of rig's own modules (``rig.backends.emulated.real_time``), which gets the device."""
-        packed = base64.b64encode(pickle.dumps(device)).decode("ascii")
-        return self._launch((sys.executable, "-P", "-m", module), {"device": packed, **options}, link, trace)
+    def _launch_served(self, make: partial[Served], link: Path | None, trace: Path | None) -> str:
+        """As ``_launch``, of a device that ``make`` makes there (``rig.backends.emulated.real_time``)."""
+        packed = base64.b64encode(pickle.dumps(make)).decode("ascii")
+        return self._launch((sys.executable, "-P", "-m", "rig.backends.emulated"), {"device": packed}, link, trace)
 
     def _await_port(self) -> str:
         process = self._process

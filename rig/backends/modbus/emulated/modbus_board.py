@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -9,7 +10,6 @@ from rig.backends.emulated.bench_of_config import bench_parameters
 from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.emulated.line_faults import CorruptionRate
-from rig.backends.modbus.emulated.device import Device
 from rig.backends.modbus.emulated.io_block_registers import BlockRegisters
 from rig.backends.modbus.emulated.reply_faults import ReplyFault
 from rig.backends.modbus.emulated.rtu_slave import LineTimes
@@ -62,6 +62,8 @@ class ModbusBoard(BoardProcess):
         """
         if tcp_port is not None and link is not None:
             raise EmulationError("a TCP port cannot have a symbolic link\nleave --link out")
+        from rig.backends.modbus.emulated.modbus_process import Device, served  # not on Windows
+
         device = Device(
             BlockRegisters.of(modbus),
             modbus.unit,
@@ -73,4 +75,4 @@ class ModbusBoard(BoardProcess):
             reply_fault,
             corruption,
         )
-        return self._launch_module("rig.backends.modbus.emulated.modbus_process", device, link, trace)
+        return self._launch_served(partial(served, device), link, trace)

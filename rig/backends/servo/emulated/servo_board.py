@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.emulated.line_faults import CorruptionRate
 from rig.backends.servo.emulated.bus import LineTimes, ServoBus
-from rig.backends.servo.emulated.device import Device
 from rig.backends.servo.emulated.faults import ReplyFault
 from rig.backends.servo.emulated.servo import ServoOptions
 
@@ -40,6 +40,7 @@ class ServoBoard(BoardProcess):
         """
         line = LineTimes() if line is None else line
         ServoBus(servos, line)  # what it cannot be is said here
-        device = Device(tuple(servos), line, follows_baud, reply_fault, corruption)
-        options = {} if violations is None else {"violations": str(violations)}
-        return self._launch_module("rig.backends.servo.emulated.servo_process", device, link, trace, **options)
+        from rig.backends.servo.emulated.servo_process import Device, served  # not on Windows
+
+        device = Device(tuple(servos), line, follows_baud, reply_fault, corruption, violations)
+        return self._launch_served(partial(served, device), link, trace)
