@@ -47,8 +47,7 @@ from rig.running.experiment.script import BREAKAWAY_LAW, SEARCH_LAW, configured_
 from rig.running.experiment.survey import survey, sweep, test_once_more
 from rig.running.experiment.until import drive_until
 from rig.running.preflight.loop_settings import guard_settings_of
-from rig.running.run_summary import Findings
-from rig.running.session import Script, Session
+from rig.running.session import Findings, Script, Session
 
 Ending = Literal["its end", "a fault", "no end"]
 
