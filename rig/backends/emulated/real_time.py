@@ -6,7 +6,6 @@ looks the same as doing them in time.
 
 from __future__ import annotations
 
-import argparse
 import base64
 import contextlib
 import gc
@@ -111,26 +110,24 @@ class BehindPty:
 
 
 def main() -> None:
-    """Run until a signal, or until standard input ends where that is asked for. ``BoardProcess`` packs the device."""
-    options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("--device", required=True, help="what makes the device, at its time 0")
-    options.add_argument("--link", type=Path)
-    options.add_argument("--trace", type=Path)
-    options.add_argument("--exit-with-stdin", action="store_true")
-    asked = options.parse_args()
+    """Run until a signal, or until standard input ends. ``BoardProcess`` packs what makes the device."""
+    make: Callable[[], Served]
+    link: Path | None
+    trace: Path | None
     ends = _signals()
     _take_priority()  # before a device starts a process, which inherits it
     try:
         with contextlib.ExitStack() as stack:
-            file = None if asked.trace is None else stack.enter_context(asked.trace.open("w", encoding="ascii"))
-            device: Served = pickle.loads(base64.b64decode(asked.device))()
-            trace = _Trace(device, file)
-            if asked.link is not None:
-                stack.enter_context(_linked(asked.link, device.name))
+            make, link, trace = pickle.loads(base64.b64decode(sys.argv[1]))
+            file = None if trace is None else stack.enter_context(trace.open("w", encoding="ascii"))
+            device = make()
+            rows = _Trace(device, file)
+            if link is not None:
+                stack.enter_context(_linked(link, device.name))
             sys.stdout.write(f"port {device.name}\n")
             sys.stdout.flush()
             gc.freeze()
-            _run(device, trace, ends, watches_stdin=asked.exit_with_stdin)
+            _run(device, rows, ends)
             device.power_off()
     except (OSError, EmulationError) as error:
         _fail(str(error))
@@ -180,8 +177,8 @@ class _Trace:
         return now_s
 
 
-def _run(device: Served, trace: _Trace, ends: int, *, watches_stdin: bool) -> None:
-    end_s, stdin = math.inf, sys.stdin.fileno()
+def _run(device: Served, trace: _Trace, ends: int) -> None:
+    end_s, stdin, watches_stdin = math.inf, sys.stdin.fileno(), True
     now_s = trace.advance()
     while now_s < end_s:
         files = [ends, *device.files(), *([stdin] if watches_stdin else [])]

@@ -9,10 +9,9 @@ import errno
 import socket
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from rig.backends.emulated.errors import EmulationError
-from rig.backends.emulated.line_faults import Corruption, CorruptionRate
+from rig.backends.emulated.line_faults import Disturbance
 from rig.backends.emulated.real_time import BehindPty, Look, Served
 from rig.backends.modbus.emulated.io_block import IoBlock
 from rig.backends.modbus.emulated.io_block_registers import BlockRegisters
@@ -24,29 +23,6 @@ from rig.model.bench import BenchModel, BenchParameters
 
 LOOPBACK = "127.0.0.1"
 _MOST_CONNECTIONS = 8
-
-
-@dataclass(frozen=True)
-class Device:
-    """The block and its line.
-
-    registers, unit   what is at which address, and its unit id
-    bench, seed       what is behind it, and of its noise
-    polarity          +1: positive drive raises the position register; -1: lowers it
-    line              times of an RTU line; of TCP its turnaround alone counts
-    tcp_port          TCP on this port, 0: on a free one; None: RTU
-    reply_fault, corruption   of the block, of an RTU line
-    """
-
-    registers: BlockRegisters
-    unit: int
-    bench: BenchParameters
-    seed: int
-    polarity: int
-    line: LineTimes
-    tcp_port: int | None = None
-    reply_fault: ReplyFault | None = None
-    corruption: CorruptionRate | None = None
 
 
 class _Block:
@@ -157,11 +133,27 @@ class _Tcp(_Block):
                     self._drop(number)
 
 
-def served(device: Device) -> Served:
-    """The device, at its time 0."""
-    bench = BenchModel(device.bench, device.seed)
-    block = IoBlock(device.registers, bench, device.unit, polarity=device.polarity, revision=VERSION)
-    if device.tcp_port is not None:
-        return _Tcp(TcpSlave(block, device.line.turnaround_s, device.reply_fault), device.tcp_port)
-    corruption = None if device.corruption is None else Corruption(*device.corruption)
-    return _Rtu(RtuSlave(block, device.line, device.reply_fault, corruption))
+def served(
+    registers: BlockRegisters,
+    unit: int,
+    bench: BenchParameters,
+    seed: int,
+    polarity: int,
+    line: LineTimes,
+    tcp_port: int | None,
+    reply_fault: ReplyFault | None,
+    disturbance: Disturbance | None,
+) -> Served:
+    """The block with its line, at its time 0.
+
+    registers, unit   what is at which address, and its unit id
+    bench, seed       what is behind it, and of its noise
+    polarity          +1: positive drive raises the position register; -1: lowers it
+    line              times of an RTU line; of TCP its turnaround alone counts
+    tcp_port          TCP on this port, 0: on a free one; None: RTU
+    reply_fault, disturbance   of the block, of an RTU line
+    """
+    block = IoBlock(registers, BenchModel(bench, seed), unit, polarity=polarity, revision=VERSION)
+    if tcp_port is not None:
+        return _Tcp(TcpSlave(block, line.turnaround_s, reply_fault), tcp_port)
+    return _Rtu(RtuSlave(block, line, reply_fault, disturbance))

@@ -41,7 +41,7 @@ class SerialBoard(BoardProcess):
         """
         from rig.backends.serial.emulated.serial_process import served  # not on Windows
 
-        return self._launch_served(partial(served, pickle.dumps(make), port, adapter), link, trace)
+        return self._launch(partial(served, pickle.dumps(make), port, adapter), link, trace)
 
 
 class HostBoard(SerialBoard):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import termios
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from rig.backends.emulated.line_faults import Corruption, CorruptionRate
+from rig.backends.emulated.line_faults import Disturbance
 from rig.backends.emulated.real_time import BehindPty, Look, Served
 from rig.backends.servo.emulated.bus import LineTimes, ServoBus
 from rig.backends.servo.emulated.faults import ReplyFault
@@ -16,29 +16,19 @@ from rig.backends.servo.emulated.servo import ServoOptions
 _BAUDS = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()}
 
 
-@dataclass(frozen=True)
-class Device:
-    """Servos and their line.
-
-    follows_baud  the line's baud is what the host sets on the port
-    violations    file that each violation is appended to; None: nobody asks
-    """
-
-    servos: tuple[ServoOptions, ...]
-    line: LineTimes
-    follows_baud: bool = True
-    reply_fault: ReplyFault | None = None
-    corruption: CorruptionRate | None = None
-    violations: Path | None = None
-
-
 class _ToldBus(ServoBus):
     """A bus that writes each violation to a file before the host hears what came of it."""
 
-    def __init__(self, device: Device) -> None:
-        corruption = None if device.corruption is None else Corruption(*device.corruption)
-        super().__init__(device.servos, device.line, corruption, device.reply_fault, keeps_log=False)
-        self._path, self._told = device.violations, 0
+    def __init__(
+        self,
+        servos: Sequence[ServoOptions],
+        line: LineTimes,
+        disturbance: Disturbance | None,
+        reply_fault: ReplyFault | None,
+        violations: Path | None,
+    ) -> None:
+        super().__init__(servos, line, disturbance, reply_fault, keeps_log=False)
+        self._path, self._told = violations, 0
         if self._path is not None:
             self._path.write_bytes(b"")
 
@@ -81,6 +71,17 @@ class _Served(BehindPty):
         """Nothing is left to tell."""
 
 
-def served(device: Device) -> Served:
-    """The bus, at its time 0."""
-    return _Served(_ToldBus(device), follows_baud=device.follows_baud)
+def served(
+    servos: Sequence[ServoOptions],
+    line: LineTimes,
+    follows_baud: bool,
+    reply_fault: ReplyFault | None,
+    disturbance: Disturbance | None,
+    violations: Path | None,
+) -> Served:
+    """The bus, at its time 0.
+
+    follows_baud  the line's baud is what the host sets on the port
+    violations    file that each violation is appended to; None: nobody asks
+    """
+    return _Served(_ToldBus(servos, line, disturbance, reply_fault, violations), follows_baud=follows_baud)
