@@ -27,12 +27,12 @@ from rig.backends.links.open_link import OpenLink
 from rig.config.problems import Problem, wrong
 from rig.config.schema import DeviceSetup, Emulated
 from rig.core.section import Section
+from rig.core.strict_json import JsonObject
 
 if TYPE_CHECKING:  # these load slowly
     from rig.backends.emulated.board_process import BoardProcess
     from rig.backends.links.usb_adapters import Adapter
     from rig.core.calibration import DriveMap
-    from rig.core.strict_json import JsonObject
     from rig.model.bench import BenchParameters
 
 OwnSection = TypeVar("OwnSection", bound=Section)

@@ -9,16 +9,14 @@ import copy
 import json
 import re
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import yaml
 
 from rig.config.problems import Path, key_of
 from rig.config.yaml12 import compose, parse
 from rig.core.errors import CauseError
-
-if TYPE_CHECKING:  # it loads slowly
-    from rig.core.strict_json import JsonObject
+from rig.core.strict_json import JsonObject
 
 Value = bool | int | float | str | Sequence["Value"] | Mapping[str, "Value"]
 

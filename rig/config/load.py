@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping
 from os import PathLike
 from shlex import quote
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
@@ -17,9 +17,7 @@ from rig.config.problems import ConfigError, Problem
 from rig.config.schema import Experiment
 from rig.config.yaml12 import MOST_BYTES, Document, emit, parse
 from rig.core.plain_file import UnfitError, read_plain
-
-if TYPE_CHECKING:  # it loads slowly
-    from rig.core.strict_json import JsonObject
+from rig.core.strict_json import JsonObject
 
 Given = str | PathLike[str] | Mapping[str, Any] | Document  # a file, its keys with their values, or what was read of it
 IN_PYTHON = "config"  # what a config is called that is in no file

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from rig.config.problems import ConfigError, Path, Problem, printable
+from rig.core.strict_json import JsonObject
 
 if TYPE_CHECKING:  # it loads slowly
     from pydantic import JsonValue
 
-    from rig.core.strict_json import JsonObject
 
 MOST_BYTES = 2**20  # of a config; ours have some thousands
 _DEEPEST = 20  # sections within sections; the schema needs 5

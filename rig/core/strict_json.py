@@ -16,6 +16,8 @@ if TYPE_CHECKING:  # it loads slowly, and whoever follows a run has no other use
     from pydantic import JsonValue
 
     JsonObject = dict[str, JsonValue]
+else:
+    JsonObject = dict
 
 MOST_LEVELS: Final = 40  # lists and objects within each other; a result has 7
 MOST_VALUES: Final = 50_000  # of one text; a result has some hundreds

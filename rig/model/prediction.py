@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rig.core.strict_json import JsonObject
 from rig.model import describing_function
 from rig.model.describing_function import Oscillation
 from rig.model.limit_cycle import LimitCycle, NoLimitCycle, limit_cycle
-
-if TYPE_CHECKING:
-    from rig.core.strict_json import JsonObject
 
 LARGEST = 1e6  # of any parameter: no motor has a larger one
 

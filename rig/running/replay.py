@@ -47,12 +47,12 @@ from rig.running.experiment.script import BREAKAWAY_LAW, SEARCH_LAW, configured_
 from rig.running.experiment.survey import survey, sweep, test_once_more
 from rig.running.experiment.until import drive_until
 from rig.running.preflight.loop_settings import guard_settings_of
-from rig.running.run_summary import Findings
-from rig.running.session import Script, Session
+from rig.running.session import Findings, Script, Session
 
 Ending = Literal["its end", "a fault", "no end"]
 
 _P = TypeVar("_P", bound=results.Part)
+_T = TypeVar("_T")
 
 _KNOWS_OLDER_LAWS = "599afeb2"  # the last commit of rig that replays breakaway laws of older versions
 _KNOWS_OLDER_SEARCH = "0d61cc00"  # and of the gain search that tried the gains of the first test alone
@@ -314,10 +314,7 @@ def _decisions(recording: Recording) -> dict[int, Advice]:
         elif event.kind == "decided":
             decided = _parsed(recording, event, results.Decided)
             if decided.by == "advice":
-                try:
-                    found[decided.row] = _advice(decided, tuple(strokes))
-                except ValueError as error:
-                    raise _broken_event(recording, event, error) from error
+                found[decided.row] = _made(recording, event, results.Decided, partial(_advice, strokes=tuple(strokes)))
             strokes.clear()
     return found
 
@@ -342,11 +339,7 @@ def _known(recording: Recording) -> FramedMotor | None:
     """The model that the run began with; None if it knew none."""
     for event in recording.events:
         if event.kind == "known":
-            known = _parsed(recording, event, results.KnownModel)
-            try:
-                return FramedMotor.of(known.numbers)
-            except ValueError as error:
-                raise _broken_event(recording, event, error) from error
+            return _made(recording, event, results.KnownModel, lambda known: FramedMotor.of(known.numbers))
     return None
 
 
@@ -392,22 +385,17 @@ def _broken(recording: Recording, name: str, value: object) -> RecordingError:
 
 def _models(recording: Recording) -> dict[Method, tuple[Motor | FramedMotor, float]]:
     """The models that tracked, in order, each with the delay that the device did not report, s."""
-    models: dict[Method, tuple[Motor | FramedMotor, float]] = {}
-    for event in recording.events:
-        if event.kind == "model":
-            try:
-                model = parsed(results.DrivenModel, event.detail)
-                motor = (
-                    Motor(model.tau_s, model.K_rad_s_V, coulomb(model.fc_V), model.bias_V)
-                    if model.half_travel_rad is None
-                    else FramedMotor.of(model.numbers)
-                )
-                models[model.method] = motor, model.further_delay_s
-            except (DamagedError, ValueError) as error:
-                raise RecordingError(
-                    recording.source / EVENTS, f"event model is broken ({error})", _RECORD_AGAIN
-                ) from error
-    return models
+    return dict(
+        _made(recording, event, results.DrivenModel, _driven) for event in recording.events if event.kind == "model"
+    )
+
+
+def _driven(model: results.DrivenModel) -> tuple[Method, tuple[Motor | FramedMotor, float]]:
+    """By its method, a model that tracked and its further delay, s. Raises ValueError where its numbers are none."""
+    if model.half_travel_rad is not None:
+        return model.method, (FramedMotor.of(model.numbers), model.further_delay_s)
+    motor = Motor(model.tau_s, model.K_rad_s_V, coulomb(model.fc_V), model.bias_V)
+    return model.method, (motor, model.further_delay_s)
 
 
 def _leases(recording: Recording) -> Callable[[int], float | None]:
@@ -442,14 +430,17 @@ def _events(recording: Recording, kind: str, part: type[_P]) -> list[_P]:
 
 
 def _parsed(recording: Recording, event: results.RunEvent, part: type[_P]) -> _P:
+    return _made(recording, event, part, lambda found: found)
+
+
+def _made(recording: Recording, event: results.RunEvent, part: type[_P], of: Callable[[_P], _T]) -> _T:
+    """What an event tells. Raises RecordingError where it is broken, or ``of`` finds its numbers impossible."""
     try:
-        return parsed(part, event.detail)
+        return of(parsed(part, event.detail))
     except (DamagedError, ValueError) as error:
-        raise _broken_event(recording, event, error) from error
-
-
-def _broken_event(recording: Recording, event: results.RunEvent, error: Exception) -> RecordingError:
-    return RecordingError(recording.source / EVENTS, f"event {event.kind} is broken ({error})", _RECORD_AGAIN)
+        raise RecordingError(
+            recording.source / EVENTS, f"event {event.kind} is broken ({error})", _RECORD_AGAIN
+        ) from error
 
 
 def _meta_with(recording: Recording, *names: str) -> results.RunMeta:

@@ -9,12 +9,15 @@ import select
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from rig.backends.emulated.errors import EmulationError
+
+if TYPE_CHECKING:  # not on Windows
+    from rig.backends.emulated.real_time import Served
 
 _START_S = 10.0
 _STOP_S = 3.0
@@ -31,38 +34,20 @@ class BoardProcess:
         self._process: subprocess.Popen[str] | None = None
         self.port = ""  # as daq.port takes it, once it is started
 
-    def _launch(
-        self, program: Path | Sequence[str], options: Mapping[str, str], link: Path | None, trace: Path | None
-    ) -> str:
-        """Start the program with its options, by name; the name of its port. Raises EmulationError if it fails."""
+    def _launch(self, make: partial[Served], link: Path | None, trace: Path | None) -> str:
+        """Start the process, in which ``make`` makes the device; the name of its port. Raises EmulationError."""
         if self._process is not None:
             raise EmulationError("this emulated board already runs")
-        command = [str(program)] if isinstance(program, Path) else list(program)
-        command += ["--exit-with-stdin"]
-        for name, value in options.items():
-            command += [f"--{name}", value]
-        if link is not None:
-            command += ["--link", str(link)]
-        if trace is not None:
-            command += ["--trace", str(trace)]
-        self._process = subprocess.Popen(
-            command,
+        packed = base64.b64encode(pickle.dumps((make, link, trace))).decode("ascii")
+        self._process = process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "rig.backends.emulated", packed],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
             start_new_session=True,
         )
-        return self._await_port()
-
-    def _launch_module(self, module: str, device: object, link: Path | None, trace: Path | None, **options: str) -> str:
-        """As ``_launch``, of one of rig's own modules (``rig.backends.emulated.real_time``), which gets the device."""
-        packed = base64.b64encode(pickle.dumps(device)).decode("ascii")
-        return self._launch((sys.executable, "-P", "-m", module), {"device": packed, **options}, link, trace)
-
-    def _await_port(self) -> str:
-        process = self._process
-        assert process is not None and process.stdout is not None and process.stderr is not None
+        assert process.stdout is not None and process.stderr is not None
         ready = select.select([process.stdout], [], [], _START_S)[0]
         words = process.stdout.readline().split() if ready else []
         if len(words) == 2 and words[0] == "port":

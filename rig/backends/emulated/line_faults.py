@@ -4,21 +4,13 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Sequence
-from typing import Literal, NamedTuple
+from typing import Literal
 
 Direction = Literal["request", "reply"]
 # What becomes of bytes on the line: (direction, bytes, time s) -> what arrives instead, each with its delay, s
 Disturbance = Callable[[Direction, bytes, float], Sequence[tuple[float, bytes]]]
 
 _DIRECTIONS: tuple[Direction, ...] = ("request", "reply")
-
-
-class CorruptionRate(NamedTuple):
-    """How often a line damages bytes: arguments of ``Corruption``."""
-
-    rate_1_s: float
-    seed: int
-    after_s: float = 0.0
 
 
 def disturbed(

@@ -6,7 +6,6 @@ looks the same as doing them in time.
 
 from __future__ import annotations
 
-import argparse
 import base64
 import contextlib
 import gc
@@ -21,7 +20,7 @@ import termios
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple, NoReturn, Protocol, TextIO, TypeVar
+from typing import NamedTuple, NoReturn, Protocol, TextIO
 
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.emulated.virtual_time import Wire
@@ -31,8 +30,6 @@ _PRIORITY = 70  # above the loop's 60: a real device does not wait for the host'
 _TRACE_S = 0.01
 _CATCH_UP_S = 0.02  # longest sleep: what is caught up with then takes 0.1 ms
 _STALL_S = 10.0  # longer than a host measures a clock for: time that a device loses then looks like a restart
-
-D = TypeVar("D")
 
 
 class Look(NamedTuple):
@@ -46,9 +43,10 @@ class Look(NamedTuple):
 
 
 class Served(Protocol):
-    """A device with its port. All times are the device's, s."""
+    """A device with its port, ``name``. All times are the device's, s. ``last``: of the columns of the trace."""
 
     name: str
+    last: str
 
     def watch(self, changed: Callable[[], None]) -> None:
         """Call that at each change of the voltage at the motor."""
@@ -81,6 +79,8 @@ class Served(Protocol):
 class BehindPty:
     """The port of a wire behind a pseudo-terminal, whose other end is held open: it lives on while no host has it."""
 
+    last = "fault"
+
     def __init__(self, wire: Wire) -> None:
         self._wire = wire
         self._pty, self.name = _open_pty()
@@ -109,44 +109,25 @@ class BehindPty:
                 os.write(self._pty, reply)
 
 
-def parser(description: str | None) -> argparse.ArgumentParser:
-    """The options that every such process has; ``--device`` is as ``BoardProcess`` packs it."""
-    options = argparse.ArgumentParser(description=description)
-    options.add_argument("--device", required=True)
-    options.add_argument("--link", type=Path)
-    options.add_argument("--trace", type=Path)
-    options.add_argument("--exit-with-stdin", action="store_true")
-    return options
-
-
-def unpacked(text: str, kind: type[D]) -> D:
-    """What ``BoardProcess`` packed, from the process that started this one. Raises ValueError for anything else."""
-    device = pickle.loads(base64.b64decode(text))
-    if not isinstance(device, kind):
-        raise ValueError(f"no {kind.__name__}")
-    return device
-
-
-def run(asked: argparse.Namespace, opened: Callable[[contextlib.ExitStack], Served], last: str = "fault") -> None:
-    """Run until a signal, or until standard input ends where that was asked for.
-
-    asked   what ``parser`` found
-    opened  the device at time 0; what it opens besides may go into the stack
-    last    of the columns of the trace
-    """
+def main() -> None:
+    """Run until a signal, or until standard input ends. ``BoardProcess`` packs what makes the device."""
+    make: Callable[[], Served]
+    link: Path | None
+    trace: Path | None
     ends = _signals()
     _take_priority()  # before a device starts a process, which inherits it
     try:
         with contextlib.ExitStack() as stack:
-            file = None if asked.trace is None else stack.enter_context(asked.trace.open("w", encoding="ascii"))
-            device = opened(stack)
-            trace = _Trace(device, file, last)
-            if asked.link is not None:
-                stack.enter_context(_linked(asked.link, device.name))
+            make, link, trace = pickle.loads(base64.b64decode(sys.argv[1]))
+            file = None if trace is None else stack.enter_context(trace.open("w", encoding="ascii"))
+            device = make()
+            rows = _Trace(device, file)
+            if link is not None:
+                stack.enter_context(_linked(link, device.name))
             sys.stdout.write(f"port {device.name}\n")
             sys.stdout.flush()
             gc.freeze()
-            _run(device, trace, ends, watches_stdin=asked.exit_with_stdin)
+            _run(device, rows, ends)
             device.power_off()
     except (OSError, EmulationError) as error:
         _fail(str(error))
@@ -171,11 +152,11 @@ class _Clock:
 class _Trace:
     """The truth over time as CSV; nothing without a file."""
 
-    def __init__(self, device: Served, file: TextIO | None, last: str) -> None:
+    def __init__(self, device: Served, file: TextIO | None) -> None:
         self._device, self._file, self._clock = device, file, _Clock()
         self.next_s = math.inf if file is None else 0.0
         if file is not None:
-            file.write(f"t_s,drive_V,y_rad,v_rad_per_s,{last}\n")
+            file.write(f"t_s,drive_V,y_rad,v_rad_per_s,{device.last}\n")
             device.watch(self.row)
 
     def row(self) -> None:
@@ -196,8 +177,8 @@ class _Trace:
         return now_s
 
 
-def _run(device: Served, trace: _Trace, ends: int, *, watches_stdin: bool) -> None:
-    end_s, stdin = math.inf, sys.stdin.fileno()
+def _run(device: Served, trace: _Trace, ends: int) -> None:
+    end_s, stdin, watches_stdin = math.inf, sys.stdin.fileno(), True
     now_s = trace.advance()
     while now_s < end_s:
         files = [ends, *device.files(), *([stdin] if watches_stdin else [])]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
@@ -15,9 +14,7 @@ from rig.backends.modbus.section import EMULATED_PORTS, ModbusKeys, is_tcp
 from rig.backends.registers.backend import RegisterBackend
 from rig.config.problems import Problem
 from rig.config.schema import DeviceSetup
-
-if TYPE_CHECKING:  # it loads slowly
-    from rig.core.strict_json import JsonObject
+from rig.core.strict_json import JsonObject
 
 _STAMPS_S = 1e-4  # of a device's own: a conversion, the refresh of its output
 

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from typing_extensions import override
 
 from rig.backends.backend import PortBackend
 from rig.config.problems import Problem
 from rig.config.schema import DeviceSetup
-
-if TYPE_CHECKING:
-    from rig.core.strict_json import JsonObject
+from rig.core.strict_json import JsonObject
 
 
 class RegisterBackend(PortBackend):

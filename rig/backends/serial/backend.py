@@ -19,10 +19,10 @@ from rig.backends.serial.rules import serial_rules
 from rig.backends.serial.section import SerialKeys
 from rig.config.problems import Problem
 from rig.config.schema import DeviceSetup
+from rig.core.strict_json import JsonObject
 
 if TYPE_CHECKING:  # it loads slowly
     from rig.core.calibration import DriveMap
-    from rig.core.strict_json import JsonObject
 
 _DRIVE_UNITS = 799  # of the firmware at full duty
 _RESONATOR_PPM = 4000.0  # an Uno's ceramic resonator is good to half a percent

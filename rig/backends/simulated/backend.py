@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
@@ -14,9 +13,7 @@ from rig.backends.clock import VirtualClock
 from rig.backends.emulated.shaft import ShaftPath
 from rig.config.problems import Problem, wrong
 from rig.config.schema import DeviceSetup
-
-if TYPE_CHECKING:  # it loads slowly
-    from rig.core.strict_json import JsonObject
+from rig.core.strict_json import JsonObject
 
 _ROUNDED_S = 1e-6  # the last digit in samples.csv
 

@@ -13,7 +13,6 @@ from rig.backends.driver import Clock, Driver, PulseDriver, RelayCommand, RelayD
 from rig.control.guard import WINDOW_S, Guard
 from rig.control.law import Law, Pulsed, Timed
 from rig.control.loop.device_relay import DeviceRelay
-from rig.control.loop.link_watch import LinkWatch
 from rig.control.loop.pause_watch import PauseWatch
 from rig.control.loop.statistics import LoopStatistics
 from rig.control.loop.stop_request import StopRequest
@@ -28,6 +27,7 @@ _CHECK_EVERY_TICKS = 25
 _ENDS_LAW = ("INTERRUPTED", "LAW_TIME")  # in the middle of its step
 _OLD_PERIODS = 2.0  # age of a reading on which nothing is decided any more
 _KEPT_DRIVES = 512  # asked for last: those that may still wait in a device
+_WELL = "exchanges"  # of a driver's counts the one that counts no error
 
 
 class Loop:
@@ -57,7 +57,7 @@ class Loop:
         self._longest_latency_s = period_s * (2.0 if driver.order == "write_first" else 1.0)
         self._stop = stop
         self.pause_watch = PauseWatch(driver, clock, period_s, guard.settings.rail_counts)
-        self._link_watch = LinkWatch(driver, record)
+        self._link_watch = _LinkWatch(driver, record)
         self._suspend_watch = SuspendWatch(clock)
         self._t0_s = clock.now_s() + period_s
         self._tick = 0
@@ -352,3 +352,23 @@ class Loop:
             self._clock.sleep_until(self._t0_s + self._tick * self._period_s)
             sample = self._driver.read()
             self._complete_row(sample._replace(t_u_s=self._since_start_s(sample.t_u_s)))
+
+
+class _LinkWatch:
+    """Writes an event ``link`` whenever the driver has counted more errors of its link than before."""
+
+    def __init__(self, driver: Driver, record: RowSink) -> None:
+        self._driver = driver
+        self._record = record
+        self._errors = 0
+
+    def look(self, now_s: float) -> None:
+        """Look at the driver's counts; ``now_s`` is the time of the run. Writes memory only."""
+        counts = self._driver.link_statistics
+        # a driver of another package may count anything
+        errors = {name: n for name, n in counts.items() if name != _WELL and isinstance(n, int) and n > 0}
+        total = sum(errors.values())
+        if total > self._errors:
+            self._errors = total
+            worst = max(errors, key=lambda name: errors[name])
+            self._record.event(now_s, "link", errors=total, most=worst)

@@ -9,20 +9,34 @@ from typing import Final
 
 from rig.output.export.bam import BAM
 from rig.output.export.c import C
-from rig.output.export.control import CONTROL
-from rig.output.export.matlab import MATLAB
 from rig.output.export.motor import IdentifiedMotor, identified_motor
 from rig.output.export.mujoco import MUJOCO
-from rig.output.export.tool import ExportError, Tool
-from rig.output.export.whole_run import load
+from rig.output.export.tool import IN_NONE, ExportError, Tool, constant, python_file
+from rig.output.export.whole_run import ExportedRun, as_mat, load
 from rig.output.export.wpilib import WPILIB
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import write_whole
 from rig.run_folder.recording.path_kind import is_file_of_a_run
+from rig.run_folder.results import JsonObject
+
+_SIMULATION: Final = "motor_simulate.m"
+_SMOOTH_RAD_S: Final = 1e-3  # friction of python-control's continuous system turns over so small a velocity
+
+
+def _for_control(motor: IdentifiedMotor, run: ExportedRun) -> dict[str, bytes]:
+    """``motor_control.py``: the motor as systems in a Python file that needs numpy and control, not rig."""
+    return {"motor_control.py": python_file("motor_control.py.j2", motor, smooth=_SMOOTH_RAD_S)}
+
+
+def _for_matlab(motor: IdentifiedMotor, run: ExportedRun) -> dict[str, bytes]:
+    """``motor.mat``: the run, ``motor`` with everything known of it, ``values`` for a simulation; and the function."""
+    model: JsonObject = {"motor": motor.as_json(), "values": dict(motor.all_values())}
+    return {"motor.mat": as_mat(run, model), _SIMULATION: constant(_SIMULATION)}
+
 
 TOOLS: Final[dict[str, Tool]] = {
-    "control": CONTROL,
-    "matlab": MATLAB,
+    "control": Tool("python-control", _for_control, IN_NONE),
+    "matlab": Tool("MATLAB and Octave", _for_matlab, IN_NONE),
     "mujoco": MUJOCO,
     "wpilib": WPILIB,
     "c": C,

@@ -21,13 +21,13 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from rig.core import strict_json
 from rig.core.plain_file import open_plain
+from rig.core.strict_json import JsonObject
 from rig.run_folder.recording.sample_columns import COLUMNS
 from rig.run_folder.recording.writer import EndOfInput, end_of_input
 
 if TYPE_CHECKING:  # rich loads slowly, and plain lines do not need it
     from rich.table import Table
 
-    from rig.run_folder.results import JsonObject
 
 REFRESH_S = 0.2
 COMPUTES_S = 1.0  # without a row or an event: the drive is off, and the run computes

@@ -12,7 +12,7 @@ from typing import Any, Self
 from rig.backends.registry import Bench, backend_of, connect
 from rig.config.schema import Experiment
 from rig.control.guard import Guard
-from rig.control.law import Rest
+from rig.control.law import BareLaw, Rest
 from rig.control.loop.runner import Loop
 from rig.control.loop.stop_request import Gone, stop_on_signals
 from rig.core.faults import Fault
@@ -174,11 +174,8 @@ def _hold(e: Experiment, request: dialogue.Hold, flag: StopFlag, gone: Gone | No
     return law.moved_rad
 
 
-class _Held:
+class _Held(BareLaw):
     """A constant drive that ends as soon as the shaft has turned by ``motion_rad``: ``moved_rad`` tells how far."""
-
-    z_rad_s = math.nan
-    yd_rad = math.nan
 
     def __init__(self, u_V: float, seconds: float, motion_rad: float) -> None:
         self._u_V = u_V
@@ -186,7 +183,6 @@ class _Held:
         self._motion_rad = motion_rad
         self._first: Sample | None = None
         self.moved_rad = 0.0
-        self.finished = False
 
     def step(self, sample: Sample) -> float:
         """The drive, V; 0 V at the end."""

@@ -11,7 +11,7 @@ from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from rig.backends.driver import Transport
 from rig.backends.serial import frames
@@ -19,11 +19,9 @@ from rig.backends.serial.frames import BOARDS, BRIDGES, Code, Hello, code_name
 from rig.backends.serial.loopback import REPEATS, WATCHDOG_MS, Measured, Share, Trip, measure
 from rig.core.package import VERSION
 from rig.core.signals import percent
+from rig.core.strict_json import JsonObject
 from rig.run_folder.live.stop_flag import StopFlag
 from rig.running.doctor.finding import Finding, bad, good, note, poor
-
-if TYPE_CHECKING:  # it loads slowly
-    from rig.run_folder.results import JsonObject
 
 EMULATED_PORTS = ("emulated-chip", "emulated-pico")
 DRAWING = """loop-back: a bare board on its USB cable and three wires. No bridge, no motor, nothing else.

@@ -14,14 +14,13 @@ import contextlib
 import os
 import pickle
 import queue
-import struct
 import subprocess
 import sys
 import threading
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Any
 
 from rig.run_folder.recording.errors import RecordingError
 
@@ -35,7 +34,6 @@ NICE = 10  # the loop, and the process that writes the rows, go first
 BRAKED = b"braked"
 _CLOSES_S = 5.0
 _LAST_BYTES = 2000  # of its standard error, which are kept: the end of a traceback
-_HEAD = struct.Struct("=I")
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
@@ -51,7 +49,7 @@ class LiveProcess:
     def __init__(self, folder: Path) -> None:
         self.trouble = self.last_words = ""
         self._errors = bytearray()
-        self._said: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._said: queue.SimpleQueue[tuple[Advice, int] | None] = queue.SimpleQueue()
         self._braked = 0  # how often it was told that the guard had to brake
         self._heard_s: float | None = None  # when it was told to begin, or last gave advice
         self._process: subprocess.Popen[bytes] | None = None
@@ -61,7 +59,6 @@ class LiveProcess:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
-                bufsize=0,
                 env={**os.environ, **_ONE_THREAD},
                 start_new_session=True,  # Ctrl-C in the terminal is not meant for it
             )
@@ -77,7 +74,7 @@ class LiveProcess:
     def begin(self, settings: AdvisorSettings) -> None:
         """Tell it what the breakaway check showed."""
         self._heard_s = time.monotonic()
-        self._tell(pickle.dumps(settings))
+        self._tell(settings)
 
     def braked(self) -> None:
         """Tell it that the guard had to brake."""
@@ -93,8 +90,7 @@ class LiveProcess:
             self._look_after()
             return None
         self._heard_s, self.trouble = time.monotonic(), ""
-        advice: Advice
-        advice, braked = pickle.loads(message)
+        advice, braked = message
         return advice if braked == self._braked else replace(advice, design=None)
 
     def close(self) -> None:
@@ -110,13 +106,14 @@ class LiveProcess:
         self._thread.join(_CLOSES_S)
         self._last_thread.join(_CLOSES_S)
 
-    def _tell(self, message: bytes) -> None:
+    def _tell(self, message: AdvisorSettings | bytes) -> None:
         """Send a message. All messages of a run fit into the pipe, so nothing waits even if nobody reads them."""
         process = self._process
         if process is None or process.stdin is None:
             return
         try:
-            process.stdin.write(_HEAD.pack(len(message)) + message)
+            pickle.dump(message, process.stdin)
+            process.stdin.flush()
         except OSError as error:
             self.trouble = self.trouble or f"its process takes no message: {error.strerror}"
 
@@ -140,19 +137,18 @@ def main(arguments: list[str]) -> int:
     """Advise on the run folder ``arguments[0]`` until the input ends."""
     if hasattr(os, "nice"):
         os.nice(NICE)
-    told: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
-    threading.Thread(target=_listen, args=(told, os.fdopen(0, "rb", buffering=0)), daemon=True).start()
     from rig.design.advisor import Advisor
 
+    told: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=(told, os.fdopen(0, "rb")), daemon=True).start()
     settings = told.get()
-    if settings is None:
-        return 0
-    advisor = Advisor(pickle.loads(settings))
-    _advise(Path(arguments[0]), advisor, told)
+    if settings is not None:
+        with contextlib.suppress(BrokenPipeError), os.fdopen(1, "wb") as said:  # until nobody reads it
+            _advise(Path(arguments[0]), Advisor(settings), told, said)
     return 0
 
 
-def _advise(folder: Path, advisor: Advisor, told: queue.SimpleQueue[bytes | None]) -> None:
+def _advise(folder: Path, advisor: Advisor, told: queue.SimpleQueue[Any], said: IO[bytes]) -> None:
     from rig.run_folder.recording.csv_file import read_csv
     from rig.run_folder.recording.writer import SAMPLES
 
@@ -176,20 +172,18 @@ def _advise(folder: Path, advisor: Advisor, told: queue.SimpleQueue[bytes | None
         advisor.take(known)
         due_s = float(known.t_s[-1]) + ADVICE_EVERY_S
         advice = advisor.advise()
-        if advice is not None and not _say(pickle.dumps((advice, braked))):
-            return
+        if advice is not None:
+            pickle.dump((advice, braked), said)
+            said.flush()
 
 
-def _listen(heard: queue.SimpleQueue[bytes | None], pipe: IO[bytes] | None) -> None:
+def _listen(heard: queue.SimpleQueue[Any], pipe: IO[bytes] | None) -> None:
     """Put each message of a pipe into a queue, and None at its end."""
     if pipe is not None:
-        with contextlib.suppress(OSError, ValueError):  # it was closed meanwhile
-            while head := _whole(pipe, _HEAD.size):
-                message = _whole(pipe, *_HEAD.unpack(head))
-                if message is not None:
-                    heard.put(message)
-        with contextlib.suppress(OSError):
-            pipe.close()
+        # ValueError: it was closed meanwhile; UnpicklingError: it ended within a message
+        with contextlib.suppress(EOFError, OSError, ValueError, pickle.UnpicklingError), pipe:
+            while True:
+                heard.put(pickle.load(pipe))
     heard.put(None)
 
 
@@ -200,28 +194,6 @@ def _keep_end(kept: bytearray, pipe: IO[bytes] | None) -> None:
             while data := pipe.read(_LAST_BYTES):
                 kept += data
                 del kept[:-_LAST_BYTES]
-
-
-def _whole(pipe: IO[bytes], size: int) -> bytes | None:
-    """So many bytes of a pipe; None at its end."""
-    data = b""
-    while len(data) < size:
-        more = pipe.read(size - len(data))
-        if not more:
-            return None
-        data += more
-    return data
-
-
-def _say(message: bytes) -> bool:
-    """Write a message to standard output. Returns whether anybody reads it."""
-    try:
-        data = memoryview(_HEAD.pack(len(message)) + message)
-        while data:
-            data = data[os.write(1, data) :]
-    except OSError:
-        return False
-    return True
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 from rig.backends.clock import MonotonicClock, PacedClock
-from rig.backends.driver import PulseDriver, ReckonedTimes, RelayCommand
+from rig.backends.driver import PulseDriver, ReckonedTimes, RelayCommand, RelayDriver
 from rig.config import Experiment
 from rig.config.schema import Method
 from rig.control.breakaway import BreakawayCheck, BreakawayFound
@@ -25,7 +25,7 @@ from rig.control.leased_jog import LeasedDrive
 from rig.control.loop.pre_run import PreRunBench, Rehearsed, pre_run
 from rig.control.loop.real_time import RealTime, real_time
 from rig.control.observer import MotorObserver
-from rig.control.relay import DualChannelRelay, HystereticRelay
+from rig.control.relay import DualChannelRelay, HystereticRelay, RelayOnCounts
 from rig.control.rising_gains import RisingGains
 from rig.control.tracking import Tracking
 from rig.control.trajectory import SumOfSines
@@ -47,7 +47,6 @@ from rig.run_folder.recording.stage import Stage, StageKind
 from rig.run_folder.results import JogResult, RealTimeReport, TrackingResult
 from rig.run_folder.results.answer_words import beyond_drive
 from rig.run_folder.results.result import NO_ESTIMATE
-from rig.running.experiment.in_device import relay_in_device
 from rig.running.experiment.which_way import strokes_move_against
 from rig.running.preflight.breakaway_strokes import FRICTION_DIFFERS, breakaway_strokes
 from rig.running.preflight.loop_settings import guard_settings_of, real_time_of
@@ -441,12 +440,18 @@ def relay_law(
     cycles: int,
     timeout_s: float,
 ) -> tuple[RelayTest, RelayCommand | None]:
-    """A relay test with the relay of the loop; or with the device's own, and the command that it gets."""
+    """A relay test with the relay of the loop; or with the device's own, the same on the counts that come back.
+
+    Returns the command, too, that such a device gets. Raises Fault CONFIG_MISMATCH for one that has no relay.
+    """
     relay, detector = shared
     e = session.experiment
     if e.relay.where == "device":
-        command, on_counts = relay_in_device(session, gains_V, relay.z_bound_rad_s)
-        return RelayTest(on_counts, detector, gains_V, cycles, timeout_s), command
+        driver = session.bench.driver
+        if not isinstance(driver, RelayDriver):
+            raise Fault("CONFIG_MISMATCH", f"relay.where is device, but {driver.backend} has no relay")
+        command = driver.relay_command(*gains_V, relay.z_bound_rad_s)
+        return RelayTest(RelayOnCounts(command, gains_V), detector, gains_V, cycles, timeout_s), command
     law = RelayTest(relay, detector, gains_V, cycles, timeout_s)
     law.watch.wait(round(session.loop.latency_s / e.period_s))
     law.ahead_s = expected_delay_s(e.device, session.delay or BenchDelay())

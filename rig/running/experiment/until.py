@@ -11,14 +11,16 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from typing import NamedTuple
 
-from rig.backends.driver import RelayCommand, StrokesCommand
+from rig.backends.driver import RelayCommand, StrokeDriver, StrokesCommand, StrokeTimes
 from rig.config.schema import UntilSection
 from rig.control.bounded import Bounded, Bounds
 from rig.control.law import Law, Rest
 from rig.control.rising_gains import FIRST, RisingGains, SwingRoom
 from rig.control.slow_down import SlowDown
 from rig.control.strokes import StrokeTest, StrokeTiming
+from rig.control.strokes_on_counts import StrokesOnCounts
 from rig.control.unshown import STILL_S, STRONGEST, Pushes
+from rig.core.faults import Fault
 from rig.core.signals import BenchDelay
 from rig.design.advisor import Advice
 from rig.design.planned_test import PlannedTest, RelayGains, Strokes
@@ -28,7 +30,6 @@ from rig.run_folder.recording.stage import StageKind
 from rig.run_folder.results import LiveResult, StoppedResult
 from rig.running.experiment import stages
 from rig.running.experiment.advisers import Advisers, advisers_of, advisor_settings
-from rig.running.experiment.in_device import strokes_in_device
 from rig.running.preflight.room_to_stop import expected_delay_s, swing_rad
 from rig.running.session import MOST_TESTS, Session
 
@@ -213,11 +214,15 @@ class _Tests:
         return stages.relay_law(self._session, shared, gains_V, cycles=10**9, timeout_s=LONG_S)
 
     def _stroke_law(self, test: Strokes) -> tuple[Law, StrokesCommand | None]:
-        """The same of a stroke test."""
+        """The same of a stroke test, which goes on until something ends it. Raises Fault CONFIG_MISMATCH."""
         session, e, timing = self._session, self._session.experiment, StrokeTiming(LONG_S, test.longest_stroke_s)
         if e.relay.where == "device":
-            command, on_counts = strokes_in_device(session, test.strokes, timing)
-            return on_counts, command
+            driver, times = session.bench.driver, StrokeTimes(timing.stroke_s, timing.still_s)
+            if not isinstance(driver, StrokeDriver):
+                words = f"relay.where is device, but {driver.backend} runs no strokes: set it to host"
+                raise Fault("CONFIG_MISMATCH", words)
+            command = driver.strokes_command(test.strokes, times, e.breakaway.motion_rad)
+            return StrokesOnCounts(command), command
         # a test may be designed for a shaft that breaks away sooner than the check has seen it to
         moves_V = session.found.checked.moves_V
         return StrokeTest(test.strokes, timing, e.breakaway.motion_rad, moves_V), None

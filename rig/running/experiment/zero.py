@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,7 @@ from rig.backends.driver import EncoderDriver
 from rig.backends.registry import Bench, connect
 from rig.config.schema import Experiment, HomeSwitch
 from rig.control.guard import Guard
-from rig.control.law import Rest
+from rig.control.law import BareLaw, Rest
 from rig.control.loop.runner import Loop
 from rig.control.loop.stop_request import StopRequest, stop_on_signals
 from rig.core.faults import Fault
@@ -196,11 +195,8 @@ def _drive_inside(
         loop.close()
 
 
-class _Pushed:
+class _Pushed(BareLaw):
     """A constant drive, and how far the shaft has gone with it. Raises Fault NO_MOTION, NOT_HOME, POLARITY."""
-
-    z_rad_s = math.nan
-    yd_rad = math.nan
 
     def __init__(self, u_V: float, motion_rad: float) -> None:
         self._u_V = u_V
@@ -226,8 +222,6 @@ class _Pushed:
 
 class _ToSwitch(_Pushed):
     """A constant drive until the device stops it."""
-
-    finished = False
 
     def __init__(self, u_V: float, room_rad: float, motion_rad: float) -> None:
         super().__init__(u_V, motion_rad)
@@ -257,7 +251,6 @@ class _Inside(_Pushed):
     def __init__(self, u_V: float, until_rad: float, motion_rad: float) -> None:
         super().__init__(u_V, motion_rad)
         self._until_rad = until_rad
-        self.finished = False
 
     def step(self, sample: Sample) -> float:
         """The drive, V; 0 V at the end."""

@@ -33,13 +33,13 @@ from typing import TYPE_CHECKING, Final
 
 from rig.control.loop.stop_request import STOP_SIGNALS
 from rig.core.faults import Fault
+from rig.core.strict_json import JsonObject
 from rig.run_folder.live.law_lease import LawLease
 from rig.run_folder.live.stop_flag import AskedStop
 from rig.running.keeper.law_times import END, READY, LawTimes, asks, too_long_words
 
 if TYPE_CHECKING:
     from rig.backends.driver import Driver
-    from rig.run_folder.results import JsonObject
 
 LOOK_EVERY_S: Final = 0.005
 _ASKS_AT: Final = 0.8  # of the lease: a law that sleeps so long would not be back in time

@@ -37,7 +37,7 @@ from pymodbus.exceptions import ModbusException
 from pymodbus.pdu.mei_message import ReadDeviceInformationResponse
 
 from rig.backends.emulated.errors import EmulationError
-from rig.backends.emulated.line_faults import CorruptionRate
+from rig.backends.emulated.line_faults import Corruption
 from rig.backends.modbus.emulated.modbus_board import ModbusBoard, mbpoll_line
 from rig.backends.modbus.emulated.reply_faults import ReplyFault
 from rig.backends.modbus.emulated.tcp_slave import Adu, Stream
@@ -299,7 +299,7 @@ def test_it_misbehaves_when_asked_to(kind: Any, tmp_path: Path) -> None:
 
 def test_a_damaged_line_answers_less_and_executes_nothing_else(tmp_path: Path) -> None:
     with ModbusBoard() as board:
-        port = start(board, tcp=False, corruption=CorruptionRate(1e6, 1), trace=tmp_path / "trace.csv")
+        port = start(board, tcp=False, disturbance=Corruption(1e6, 1), trace=tmp_path / "trace.csv")
         client = ModbusSerialClient(port, baudrate=115200, timeout=0.1, retries=0)
         assert client.connect()
         for _ in range(5):

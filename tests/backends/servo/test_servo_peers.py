@@ -18,7 +18,7 @@ from processes import rows, wait_until
 from servo_peers import VirtualPort, violations_in
 
 from rig.backends.emulated.errors import EmulationError
-from rig.backends.emulated.line_faults import CorruptionRate
+from rig.backends.emulated.line_faults import Corruption
 from rig.backends.servo import feetech
 from rig.backends.servo.dynamixel import ACCESS, LENGTH, LIMIT, NO_INSTRUCTION, RANGE
 from rig.backends.servo.emulated.bus import LineTimes
@@ -247,7 +247,7 @@ def test_dynamixel_sdk_on_a_terminal(tmp_path: Path) -> None:
 def test_scservo_sdk_on_a_terminal_that_damages() -> None:
     sdk = scs.PacketHandler(0)
     with ServoBoard() as board:
-        port = scs.PortHandler(board.start(FEETECHS, corruption=CorruptionRate(3.0, 1)))
+        port = scs.PortHandler(board.start(FEETECHS, disturbance=Corruption(3.0, 1)))
         assert port.openPort()
 
         def at_last(call: Callable[[], Any], good: Callable[[Any], bool]) -> int:

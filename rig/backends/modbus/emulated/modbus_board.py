@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from urllib.parse import urlsplit
 
 from rig.backends.emulated.bench_of_config import bench_parameters
 from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.emulated.errors import EmulationError
-from rig.backends.emulated.line_faults import CorruptionRate
-from rig.backends.modbus.emulated.device import Device
+from rig.backends.emulated.line_faults import Disturbance
 from rig.backends.modbus.emulated.io_block_registers import BlockRegisters
 from rig.backends.modbus.emulated.reply_faults import ReplyFault
 from rig.backends.modbus.emulated.rtu_slave import LineTimes
@@ -47,7 +47,7 @@ class ModbusBoard(BoardProcess):
         tcp_port: int | None = None,
         polarity: int = 1,
         reply_fault: ReplyFault | None = None,
-        corruption: CorruptionRate | None = None,
+        disturbance: Disturbance | None = None,
     ) -> str:
         """Start the process and return the name of its port: a pseudo-terminal's, or ``tcp://127.0.0.1:number``.
 
@@ -57,12 +57,15 @@ class ModbusBoard(BoardProcess):
         tcp_port      TCP on this port, 0: on a free one; None: RTU
         polarity      +1: positive drive raises the position register; -1: lowers it
         reply_fault   fault of the device's replies
-        corruption    RTU: damage on the line
+        disturbance   RTU: damage on the line
         Raises EmulationError where it does not start.
         """
         if tcp_port is not None and link is not None:
             raise EmulationError("a TCP port cannot have a symbolic link\nleave --link out")
-        device = Device(
+        from rig.backends.modbus.emulated.modbus_process import served  # not on Windows
+
+        make = partial(
+            served,
             BlockRegisters.of(modbus),
             modbus.unit,
             bench_parameters(emulated),
@@ -71,6 +74,6 @@ class ModbusBoard(BoardProcess):
             LineTimes.of(modbus, baud),
             tcp_port,
             reply_fault,
-            corruption,
+            disturbance,
         )
-        return self._launch_module("rig.backends.modbus.emulated.modbus_process", device, link, trace)
+        return self._launch(make, link, trace)

@@ -11,14 +11,15 @@ import struct
 from collections.abc import Callable
 
 from rig.backends.emulated.errors import EmulationError
-from rig.backends.emulated.line_faults import Corruption
-from rig.backends.emulated.real_time import BehindPty, Look, Served, parser, run, unpacked
-from rig.backends.modbus.emulated.device import Device
+from rig.backends.emulated.line_faults import Disturbance
+from rig.backends.emulated.real_time import BehindPty, Look, Served
 from rig.backends.modbus.emulated.io_block import IoBlock
-from rig.backends.modbus.emulated.rtu_slave import RtuSlave
+from rig.backends.modbus.emulated.io_block_registers import BlockRegisters
+from rig.backends.modbus.emulated.reply_faults import ReplyFault
+from rig.backends.modbus.emulated.rtu_slave import LineTimes, RtuSlave
 from rig.backends.modbus.emulated.tcp_slave import Stream, TcpSlave
 from rig.core.package import VERSION
-from rig.model.bench import BenchModel
+from rig.model.bench import BenchModel, BenchParameters
 
 LOOPBACK = "127.0.0.1"
 _MOST_CONNECTIONS = 8
@@ -26,6 +27,8 @@ _MOST_CONNECTIONS = 8
 
 class _Block:
     """The block, whatever its port."""
+
+    last = "fault"
 
     def __init__(self, block: IoBlock) -> None:
         self._block = block
@@ -130,20 +133,27 @@ class _Tcp(_Block):
                     self._drop(number)
 
 
-def _served(device: Device) -> Served:
-    bench = BenchModel(device.bench, device.seed)
-    block = IoBlock(device.registers, bench, device.unit, polarity=device.polarity, revision=VERSION)
-    if device.tcp_port is not None:
-        return _Tcp(TcpSlave(block, device.line.turnaround_s, device.reply_fault), device.tcp_port)
-    corruption = None if device.corruption is None else Corruption(*device.corruption)
-    return _Rtu(RtuSlave(block, device.line, device.reply_fault, corruption))
+def served(
+    registers: BlockRegisters,
+    unit: int,
+    bench: BenchParameters,
+    seed: int,
+    polarity: int,
+    line: LineTimes,
+    tcp_port: int | None,
+    reply_fault: ReplyFault | None,
+    disturbance: Disturbance | None,
+) -> Served:
+    """The block with its line, at its time 0.
 
-
-def main() -> None:
-    """As ``rig.backends.emulated.real_time``."""
-    asked = parser(__doc__).parse_args()
-    run(asked, lambda _: _served(unpacked(asked.device, Device)))
-
-
-if __name__ == "__main__":
-    main()
+    registers, unit   what is at which address, and its unit id
+    bench, seed       what is behind it, and of its noise
+    polarity          +1: positive drive raises the position register; -1: lowers it
+    line              times of an RTU line; of TCP its turnaround alone counts
+    tcp_port          TCP on this port, 0: on a free one; None: RTU
+    reply_fault, disturbance   of the block, of an RTU line
+    """
+    block = IoBlock(registers, BenchModel(bench, seed), unit, polarity=polarity, revision=VERSION)
+    if tcp_port is not None:
+        return _Tcp(TcpSlave(block, line.turnaround_s, reply_fault), tcp_port)
+    return _Rtu(RtuSlave(block, line, reply_fault, disturbance))

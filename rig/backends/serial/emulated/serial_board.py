@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -38,8 +39,9 @@ class SerialBoard(BoardProcess):
         adapter  between the device and the port
         Raises EmulationError where it does not start.
         """
-        options = {"port": port} | ({} if adapter == "none" else {"adapter": adapter})
-        return self._launch_module("rig.backends.serial.emulated.serial_process", make, link, trace, **options)
+        from rig.backends.serial.emulated.serial_process import served  # not on Windows
+
+        return self._launch(partial(served, pickle.dumps(make), port, adapter), link, trace)
 
 
 class HostBoard(SerialBoard):

@@ -6,11 +6,11 @@
 from __future__ import annotations
 
 import math
+import pickle
 from collections.abc import Callable
-from functools import partial
 
-from rig.backends.emulated.real_time import BehindPty, Look, Served, parser, run, unpacked
-from rig.backends.links.usb_adapters import CHIPS, Adapter
+from rig.backends.emulated.real_time import BehindPty, Look, Served
+from rig.backends.links.usb_adapters import Adapter
 from rig.backends.serial.emulated.behind_usb import BehindUsb
 from rig.backends.serial.emulated.firmware_build import require_emulator
 from rig.backends.serial.emulated.virtual_device import PortAndClock
@@ -53,10 +53,10 @@ class _Served(BehindPty):
     last  of the columns of the trace, as the device's truth names it
     """
 
-    def __init__(self, device: PortAndClock, adapter: Adapter | None, last: str) -> None:
-        self._line = _Wire(device if adapter is None else BehindUsb(device, adapter), device.step_s)
+    def __init__(self, device: PortAndClock, adapter: Adapter, last: str) -> None:
+        self._line = _Wire(device if adapter == "none" else BehindUsb(device, adapter), device.step_s)
         super().__init__(self._line)
-        self._device, self._last = device, last
+        self._device, self.last = device, last
         self._changed_s = -1.0
         self._changed: Callable[[], None] = lambda: None
 
@@ -70,7 +70,7 @@ class _Served(BehindPty):
 
     def look(self) -> Look:
         truth = self._device.truth()
-        return Look(truth.t_s, truth.pin_V, truth.y_rad, truth.v_rad_per_s, int(getattr(truth, self._last)))
+        return Look(truth.t_s, truth.pin_V, truth.y_rad, truth.v_rad_per_s, int(getattr(truth, self.last)))
 
     def power_cycle(self) -> None:
         """Its reset button: a board's supply comes over USB."""
@@ -84,20 +84,11 @@ class _Served(BehindPty):
         self._changed()
 
 
-def main() -> None:
-    """As ``rig.backends.emulated.real_time``; ``--device`` is packed with what makes it."""
-    options = parser(__doc__)
-    options.add_argument("--port", required=True, help="word of daq.port for the device")
-    options.add_argument("--adapter", choices=list(CHIPS))
-    asked = options.parse_args()
-    require_emulator(asked.port)
-    last = "fault" if asked.port == "emulated" else "led"
+def served(make: bytes, port: str, adapter: Adapter) -> Served:
+    """The device, at its time 0.
 
-    def opened(_: object) -> Served:
-        return _Served(unpacked(asked.device, partial)(), asked.adapter, last)
-
-    run(asked, opened, last)
-
-
-if __name__ == "__main__":
-    main()
+    make  what makes it, pickled by itself: of a chip it can be read only where the emulator is found
+    port  word of daq.port for it
+    """
+    require_emulator(port)
+    return _Served(pickle.loads(make)(), adapter, "fault" if port == "emulated" else "led")

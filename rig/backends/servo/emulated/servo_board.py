@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from rig.backends.emulated.board_process import BoardProcess
-from rig.backends.emulated.line_faults import CorruptionRate
+from rig.backends.emulated.line_faults import Disturbance
 from rig.backends.servo.emulated.bus import LineTimes, ServoBus
-from rig.backends.servo.emulated.device import Device
 from rig.backends.servo.emulated.faults import ReplyFault
 from rig.backends.servo.emulated.servo import ServoOptions
 
@@ -25,7 +25,7 @@ class ServoBoard(BoardProcess):
         line: LineTimes | None = None,
         follows_baud: bool = True,
         reply_fault: ReplyFault | None = None,
-        corruption: CorruptionRate | None = None,
+        disturbance: Disturbance | None = None,
         violations: Path | None = None,
     ) -> str:
         """Start the process and return the name of its pseudo-terminal.
@@ -34,12 +34,13 @@ class ServoBoard(BoardProcess):
         link, trace   as of HostBoard; the trace is of the first servo, its fault that of its errors' register
         line          times; the time on the wire is kept
         follows_baud  a baud that the host sets on the port is the line's; a servo of another one does not hear it
-        reply_fault, corruption   of one servo's answers, of the wire
+        reply_fault, disturbance  of one servo's answers, of the wire
         violations    CSV file that each violation is appended to: time, s, id, what
         Raises EmulationError where it does not start.
         """
         line = LineTimes() if line is None else line
         ServoBus(servos, line)  # what it cannot be is said here
-        device = Device(tuple(servos), line, follows_baud, reply_fault, corruption)
-        options = {} if violations is None else {"violations": str(violations)}
-        return self._launch_module("rig.backends.servo.emulated.servo_process", device, link, trace, **options)
+        from rig.backends.servo.emulated.servo_process import served  # not on Windows
+
+        make = partial(served, tuple(servos), line, follows_baud, reply_fault, disturbance, violations)
+        return self._launch(make, link, trace)

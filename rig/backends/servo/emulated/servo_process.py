@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import termios
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TextIO
 
-from rig.backends.emulated.line_faults import Corruption
-from rig.backends.emulated.real_time import BehindPty, Look, parser, run, unpacked
-from rig.backends.servo.emulated.bus import ServoBus
-from rig.backends.servo.emulated.device import Device
+from rig.backends.emulated.line_faults import Disturbance
+from rig.backends.emulated.real_time import BehindPty, Look, Served
+from rig.backends.servo.emulated.bus import LineTimes, ServoBus
+from rig.backends.servo.emulated.faults import ReplyFault
+from rig.backends.servo.emulated.servo import ServoOptions
 
 _BAUDS = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()}
 
@@ -20,17 +19,24 @@ _BAUDS = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name
 class _ToldBus(ServoBus):
     """A bus that writes each violation to a file before the host hears what came of it."""
 
-    def __init__(self, device: Device, file: TextIO | None) -> None:
-        corruption = None if device.corruption is None else Corruption(*device.corruption)
-        super().__init__(device.servos, device.line, corruption, device.reply_fault, keeps_log=False)
-        self._file, self._told = file, 0
+    def __init__(
+        self,
+        servos: Sequence[ServoOptions],
+        line: LineTimes,
+        disturbance: Disturbance | None,
+        reply_fault: ReplyFault | None,
+        violations: Path | None,
+    ) -> None:
+        super().__init__(servos, line, disturbance, reply_fault, keeps_log=False)
+        self._path, self._told = violations, 0
+        if self._path is not None:
+            self._path.write_bytes(b"")
 
     def advance_to(self, t_s: float) -> None:
         super().advance_to(t_s)
-        if self._file is not None and len(self.violations) > self._told:
-            for at_s, id, what in self.violations[self._told :]:
-                self._file.write(f"{at_s:.6f},{id},{what}\n")
-            self._file.flush()
+        if self._path is not None and len(self.violations) > self._told:
+            with self._path.open("a", encoding="ascii") as file:
+                file.writelines(f"{at_s:.6f},{id},{what}\n" for at_s, id, what in self.violations[self._told :])
             self._told = len(self.violations)
 
 
@@ -65,20 +71,17 @@ class _Served(BehindPty):
         """Nothing is left to tell."""
 
 
-def main() -> None:
-    """As ``rig.backends.emulated.real_time``."""
-    options = parser(__doc__)
-    options.add_argument("--violations", type=Path)
-    asked = options.parse_args()
+def served(
+    servos: Sequence[ServoOptions],
+    line: LineTimes,
+    follows_baud: bool,
+    reply_fault: ReplyFault | None,
+    disturbance: Disturbance | None,
+    violations: Path | None,
+) -> Served:
+    """The bus, at its time 0.
 
-    def opened(stack: contextlib.ExitStack) -> _Served:
-        path = asked.violations
-        file = None if path is None else stack.enter_context(path.open("w", encoding="ascii"))
-        device = unpacked(asked.device, Device)
-        return _Served(_ToldBus(device, file), follows_baud=device.follows_baud)
-
-    run(asked, opened)
-
-
-if __name__ == "__main__":
-    main()
+    follows_baud  the line's baud is what the host sets on the port
+    violations    file that each violation is appended to; None: nobody asks
+    """
+    return _Served(_ToldBus(servos, line, disturbance, reply_fault, violations), follows_baud=follows_baud)
