@@ -14,6 +14,7 @@ from rig.control.sweeps import CrudeMotor, SweepLoop, Sweeps, loop_bandwidth_1_s
 from rig.core.faults import Fault
 from rig.core.signals import BenchDelay
 from rig.identification import Identification
+from rig.identification.verdict import PROMISE, RISK
 from rig.model.describing_function import Oscillation, linear_part
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
@@ -154,9 +155,12 @@ def what_is_open(found: Identification) -> str | None:
         groups = "; ".join(" and ".join(group) for group in law.not_told_apart)
         return f"the tests did not tell {groups.replace('_', ' ')} apart"
     for name, title in TITLES.items():
-        share = law.budget.u95[name] / max(abs(getattr(estimate, name)), 1e-9)
+        size = max(abs(getattr(estimate, name)), 1e-9)
+        share, (risk, _) = law.budget.u95[name] / size, law.budget.hidden.beyond(name, PROMISE * size)
         if share > ENOUGH:
             return f"the tests left {title} uncertain by {share:.2g} (u95, relative)"
+        if risk > RISK:
+            return f"the tests left {title} more than {PROMISE:.0%} off with a probability of {risk:.2g}"
     return None
 
 
