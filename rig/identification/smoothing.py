@@ -29,6 +29,7 @@ from rig.identification.lowest import lowest
 from rig.identification.plausibility import divides_a_turn
 from rig.identification.preprocessing import unfiltered
 from rig.model.compiled.row_filter import filtered
+from rig.model.real_motor import RealMotor
 from rig.run_folder.recording.series import TimeSeries
 
 Array = NDArray[np.float64]
@@ -68,6 +69,7 @@ class Smoothing(NamedTuple):
     left     share of it that may be missing, or be too much; above 1 where a motor could stand in its place. A drive's
              low pass that leaves more than noise is another shape. Just 1: it does not explain the tests, though it
              takes most of what a plain motor leaves
+    moves    what this share moves K by, of itself, and f_c, V
     """
 
     column: Column
@@ -75,6 +77,7 @@ class Smoothing(NamedTuple):
     order: int
     is_late: bool = False
     left: float = 0.0
+    moves: tuple[float, float] = (0.0, 0.0)
 
     @property
     def late_s(self) -> float:
@@ -181,7 +184,7 @@ def _behind(
 ) -> tuple[float, Smoothing | None]:
     """What the plain motor behind a bridge leaves, rad, and how a column was smoothed, as ``smoothing``."""
     period_s = max(test.period_s for test in tests)
-    tau_s: dict[Smoothing, float] = {}
+    motors: dict[Smoothing, RealMotor] = {}
 
     @cache
     def left(one: Smoothing) -> float:
@@ -189,7 +192,7 @@ def _behind(
         if any(float(np.mean(np.abs(test.u_V) > OVER * test.most_V)) > RARE for test in undone):
             return math.inf  # no bridge gave that
         fit = plain_in_pieces(undone, plain, bridge)
-        tau_s[one] = fit.motor.tau_s
+        motors[one] = fit.motor
         return one.left_rad(fit)
 
     def beyond(rad: float) -> float:
@@ -235,17 +238,22 @@ def _behind(
     # a low pass of a drive, which has no noise, is undone to the last bit; behind a velocity's noise nothing is known
     is_other = best.order > 0 and best.column == "drive" and found[best] > NOISY * noise_rad
     share = COVERAGE * math.sqrt(beyond(found[best]) / beyond(without)) if is_other else 0.0
+    moves = (0.0, 0.0)
     if best.order > 0 and best.column != "drive":
-        beside = [left(best._replace(size_s=best.size_s * of)) for of in (1.0 - BESIDE, 1.0 + BESIDE)]
-        rise = (sum(beside) / 2.0 / found[best]) ** 2 - 1.0
+        beside = [best._replace(size_s=best.size_s * of) for of in (1.0 - BESIDE, 1.0 + BESIDE)]
+        rise = (sum(map(left, beside)) / 2.0 / found[best]) ** 2 - 1.0
         share = KNOWN * BESIDE / math.sqrt(max(rise, 1e-6))
-        other_s = tau_s[best]  # a motor and a filter could stand in each other's place, but for friction
+        other_s = motors[best].tau_s  # a motor and a filter could stand in each other's place, but for friction
         if (
             period_s < other_s < LONGEST_S
             and left(best._replace(size_s=other_s)) < math.hypot(1.0, KNOWN) * found[best]
         ):
             share = max(share, abs(other_s / best.size_s - 1.0))
-    return found[best], best._replace(left=(share if share > 1.0 else min(share, MOST_LEFT)) if is_told else 1.0)
+        small, large = (motors[one] for one in beside)
+        by = share / (2.0 * BESIDE)
+        moves = by * abs(large.K_rad_s_V / small.K_rad_s_V - 1.0), by * abs(large.fc_V - small.fc_V)
+    share = share if share > 1.0 else min(share, MOST_LEFT)
+    return found[best], best._replace(left=share if is_told else 1.0, moves=moves)
 
 
 def _apart(period_s: float) -> float:

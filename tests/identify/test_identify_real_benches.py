@@ -46,6 +46,7 @@ from rig.identification.plausibility import judge_records
 from rig.identification.preprocessing import evened
 from rig.identification.thinning import COARSEST_PATH_RAD, of_one_step, showing_the_angle, thinned
 from rig.identification.verdict import MORE_CYCLES, by_prediction, reserved
+from rig.model.compiled.row_filter import filtered
 from rig.model.real_motor import Frame, MovingMotor, RealMotor, index
 from rig.output.report.simulated import simulated
 from rig.run_folder.recording.errors import IdentifyError
@@ -1180,6 +1181,26 @@ def test_the_interval_of_tau_holds_what_the_filter_in_front_of_it_may_lack() -> 
     assert slow.u95 is not None and slow.u95["tau_s"] == pytest.approx(0.0025, rel=0.02)
     assert slow.u95["K_rad_s_V"] == 0.1
     assert quick.verdict == "ok" and quick.reasons == plain.reasons
+    moved = by_filter(plain, 0.05, 0.2, (0.02, 0.09))
+    assert moved.u95 is not None and moved.u95["K_rad_s_V"] == pytest.approx(math.hypot(0.1, 0.4))
+    assert moved.u95["fc_V"] == pytest.approx(math.hypot(0.01, 0.09))
+
+
+def test_what_a_filter_takes_from_reversals_is_in_f_c_where_a_drive_of_one_size_makes_them() -> None:
+    """Smoothed twice: f_c was 41 % off beside 25 %."""
+    motor = RealMotor(0.4421, 1.7962, 0.8, -0.1244)
+    t_s = np.linspace(0.0, 20.0, 2000, endpoint=False)
+    u_V = np.where(t_s % 3.9368 < 1.9684, 7.2, -7.2)
+    both_s = np.sort(np.concatenate((t_s, t_s + 1e-5)))
+    y_rad = response(motor, Frame(duration_s=20.1), (t_s, u_V), both_s, Pieces.one())
+    v = (y_rad[1::2] - y_rad[::2]) / 1e-5
+    v += 0.003 * np.ptp(v) * np.random.default_rng(2).standard_normal(v.size)
+    stays = math.exp(-0.01 / 0.0523)
+    for _ in range(2):
+        v = filtered([1.0 - stays], [-stays], v[:, None])[:, 0]
+    answer = answered((t_s, u_V, np.append(0.0, np.cumsum(0.005 * (v[1:] + v[:-1])))))
+    assert answer.u95 is not None and (half_V := answer.u95["fc_V"]) is not None
+    assert (found_V := answer.value("fc_V")) is not None and abs(found_V - motor.fc_V) < half_V
 
 
 @pytest.mark.evidence
