@@ -7,7 +7,7 @@ rows or a ramp, is to a slower motor no more than its middle and its variance s^
 difference over half of these rows, so that their noise hardly grows.
 
 The change is looked for with which the plain motor explains pieces of the tests best. It counts where the plain motor
-leaves more than noise, and most of that goes.
+leaves more than noise, and most of that goes; but not where a dead band explains more: it lags at reversals, too.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from rig.identification.departures.departure import NOTHING
 from rig.identification.departures.fit import Fit
 from rig.identification.estimate import Estimate
-from rig.identification.in_pieces import PIECE_S, plain_in_pieces
+from rig.identification.in_pieces import DEAD_BAND, PIECE_S, plain_in_pieces
 from rig.identification.lowest import lowest
 from rig.identification.plausibility import divides_a_turn
 from rig.identification.preprocessing import unfiltered
@@ -229,7 +229,9 @@ def _behind(
         cuts = NEARLY_ALL if plain.spoiled else CUTS
         if beyond(found[best]) >= cuts**2 * beyond(without):
             return without, None
-    if not sum(map(len, tests)) * math.log(without / found[best]) > SURE:
+    band = {**bridge, DEAD_BAND: SMALL * max(float(np.abs(test.u_V).max()) for test in tests)}
+    is_band = plain_in_pieces(tests, plain, band).rms_rad < found[best]  # at each reversal it lags as a filter does
+    if is_band or not sum(map(len, tests)) * math.log(without / found[best]) > SURE:
         return without, None
     # where a motor leaves so much of the motion, or asks for the longest change, it is no plain one behind one
     most_rad = max(NOISY * noise_rad, EXPLAINS * max(float(np.std(test.y_rad)) for test in tests))

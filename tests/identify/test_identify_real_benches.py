@@ -434,6 +434,18 @@ def test_a_reading_that_was_filtered_before_it_was_rounded_is_undone_all_the_sam
     assert answer.u95 is not None and (half_s := answer.u95["tau_s"]) is not None and half_s > 0.02 * motor.tau_s
 
 
+def test_a_dead_band_that_lags_at_reversals_is_no_filter() -> None:
+    """Ramps: f_c was 14 % off beside 6 %, and the drive said to act early."""
+    motor = RealMotor(0.0357, 3.1024, 0.179, -0.0185, dead_band_V=0.11)
+    t_s: np.ndarray = 0.009 * np.arange(1524)
+    u_V = 4.0 * (2.0 * np.abs(2.0 * (t_s / 1.371 % 1.0) - 1.0) - 1.0)
+    y_rad = response(motor, Frame(duration_s=14.0), (t_s, u_V), t_s, Pieces.one())
+    step_rad = 2.0 * math.pi / 4096.0
+    found = found_in((t_s, u_V, step_rad * np.floor(y_rad / step_rad)))
+    assert found.changes == []
+    assert found.answer is not None and right(found.answer, motor, 0.02, "tau_s", "K_rad_s_V", "fc_V")
+
+
 def test_a_filter_longer_than_tau_may_be_the_motor_and_then_tau_is_not_known() -> None:
     """Drives of one size tell them apart by next to nothing: tau was 157 % off beside 7.5 %."""
     motor = MOTOR._replace(tau_s=0.025)
