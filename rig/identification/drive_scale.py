@@ -78,10 +78,12 @@ def by_own_loop(answer: Answer, loop: OwnLoop) -> Answer:
     )
 
 
-def by_filter(answer: Answer, lag_s: float, left: float = 0.0) -> Answer:
-    """The answer with what a filter of this time constant in a column leaves unknown in tau.
+def by_filter(answer: Answer, lag_s: float, left: float = 0.0, moves: tuple[float, float] = (0.0, 0.0)) -> Answer:
+    """The answer with what a filter of this time constant in a column leaves unknown in tau, K and f_c.
 
-    left   share of the time constant that may be missing, as the fit says; 1.0: it was not undone
+    left    share of the time constant that may be missing, as the fit says; 1.0: it was not undone
+    moves   what this share moves K by, of itself, and f_c, V: where a drive of one size alone reverses the shaft, what
+            a filter takes from each reversal is much of f_c
     What is missing in the filter's time constant is too much in tau: a record shows their sum.
     """
     tau_s = abs(known(answer.value("tau_s")))
@@ -97,7 +99,9 @@ def by_filter(answer: Answer, lag_s: float, left: float = 0.0) -> Answer:
             f"a filter of {1e3 * lag_s:.3g} ms in the log makes tau up to {in_percent(share)} wrong: log position and "
             "drive, or the velocity, as they are"
         )
-    return _widened(answer, {"tau_s": share}, reasons)
+    fc_V = abs(known(answer.value("fc_V")))
+    of_fc = moves[1] / fc_V if answer.u95 and fc_V > 0.0 else 0.0
+    return _widened(answer, {"tau_s": share, "K_rad_s_V": moves[0] if answer.u95 else 0.0, "fc_V": of_fc}, reasons)
 
 
 def by_steps(answer: Answer, step_V: float, largest_V: float) -> Answer:

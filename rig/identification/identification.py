@@ -335,7 +335,7 @@ def _takes_change(data: Measurements, estimate: Estimate | None) -> bool:
     told = [one for one in smoothed if one is not None]
     worst = max(told, key=lambda one: max(OF_FILTER, one.left) * one.late_s, default=None)
     if worst is not None and worst.late_s > 0.0:
-        data.unsure.append(partial(by_filter, lag_s=worst.late_s, left=worst.left))
+        data.unsure.append(partial(by_filter, lag_s=worst.late_s, left=worst.left, moves=worst.moves))
     return math.isfinite(limit.drive_V) or bool(undone)
 
 

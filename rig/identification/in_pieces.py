@@ -54,7 +54,7 @@ FEWEST_STRETCHES = 12  # of a series: twice the numbers of the balance
 AT_REST = 0.05  # of the largest speed: friction at rest balances anything
 POOR = 0.25  # error in blocks from which on the plain motor's numbers mean nothing, and a load is tried with it
 LOADED = 0.75  # error with the load over that without it, at most
-FORCE, PIECE_S = ("force_sin_V", "force_cos_V"), 0.5
+FORCE, DEAD_BAND, PIECE_S = ("force_sin_V", "force_cos_V"), "dead_band_V", 0.5
 
 
 def fit_in_pieces(tests: Sequence[TimeSeries], *, free_delay: bool) -> tuple[Fit, Blocks]:
@@ -148,8 +148,10 @@ def plain_in_pieces(tests: Sequence[TimeSeries], plain: Estimate, bridge: Mappin
     cut = Cut.whole(thin, delay_s[1]).every(PIECE_S)
     free = tuple(name for name in (*CORE, DELAY) if name != "bias_V" or not one_way(thin))
     motor = RealMotor(plain.tau_s, plain.K_rad_s_V, max(plain.fc_V, 0.0), plain.asym_V, max(plain.delay_s, 0.0))
+    most_V = max(float(np.abs(test.u_V).max()) for test in thin)
     sizes = [name for name in bridge if not NUMBERS[name].is_shape]
-    limits = limits_of(free, cut, delay_s) | dict.fromkeys(sizes, FREE)
+    limits = limits_of(free, cut, delay_s)
+    limits |= {name: (0.0, most_V) if name == DEAD_BAND else FREE for name in sizes}
     problem = Problem(cut, (*free, *sizes), limits, 1e-3 * cut.frames[0].half_travel_rad)
     if bridge:
         motor = motor._replace(tau_s=max(plain.tau_s, 4.0 * thin[0].period_s), **bridge)

@@ -7,7 +7,7 @@ rows or a ramp, is to a slower motor no more than its middle and its variance s^
 difference over half of these rows, so that their noise hardly grows.
 
 The change is looked for with which the plain motor explains pieces of the tests best. It counts where the plain motor
-leaves more than noise, and most of that goes.
+leaves more than noise, and most of that goes; but not where a dead band explains more: it lags at reversals, too.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -23,12 +24,13 @@ from numpy.typing import NDArray
 from rig.identification.departures.departure import NOTHING
 from rig.identification.departures.fit import Fit
 from rig.identification.estimate import Estimate
-from rig.identification.in_pieces import plain_in_pieces
+from rig.identification.in_pieces import DEAD_BAND, PIECE_S, plain_in_pieces
 from rig.identification.lowest import lowest
 from rig.identification.plausibility import divides_a_turn
 from rig.identification.preprocessing import unfiltered
 from rig.model.compiled.row_filter import filtered
-from rig.run_folder.recording.series import TimeSeries, noise_of_all_rad
+from rig.model.real_motor import RealMotor
+from rig.run_folder.recording.series import TimeSeries
 
 Array = NDArray[np.float64]
 Column = Literal["reading", "drive", "row"]
@@ -38,8 +40,8 @@ LEAVES, SHOWS = 1.1, 1.03  # residual over the sensor's noise from which on a sm
 # makes a shaft turn against its drive; and of the best that is tried first. Rise of the log likelihood, at least
 CUTS, NEARLY_ALL, PROMISING, SURE = 0.5, 0.1, 0.8, 20.0
 NOISY, TWICE = 3.0, 0.7  # residual over noise from which on two low passes are tried; residual over that with one
-LONGEST_S, TRIED, FINER = 0.2, 7, 16
-EXPLAINS, NEAR = 0.01, 0.95  # residual over the spread of positions, at most; of the longest mean
+LONGEST_S, TRIED, COARSE, FINER = 0.5, 8, 5, 16
+EXPLAINS, NEAR = 0.01, 0.95  # residual over the spread of positions, at most; of the longest mean, or low pass
 MEAN_OF_ROW = 0.75  # of a period: so short a filter is no filter, but how velocities are summed
 SMOOTHED = {"reading": "a smoothed velocity", "drive": "one that was measured", "row": "all that one card reads"}
 MEAN, WAY, RAMP = 0, -1, -2  # orders that are no low pass
@@ -67,6 +69,7 @@ class Smoothing(NamedTuple):
     left     share of it that may be missing, or be too much; above 1 where a motor could stand in its place. A drive's
              low pass that leaves more than noise is another shape. Just 1: it does not explain the tests, though it
              takes most of what a plain motor leaves
+    moves    what this share moves K by, of itself, and f_c, V
     """
 
     column: Column
@@ -74,6 +77,7 @@ class Smoothing(NamedTuple):
     order: int
     is_late: bool = False
     left: float = 0.0
+    moves: tuple[float, float] = (0.0, 0.0)
 
     @property
     def late_s(self) -> float:
@@ -161,7 +165,8 @@ def smoothing(tests: Sequence[TimeSeries], plain: Estimate) -> Smoothing | None:
     Where its drive ends, a motor behind a bridge that does not brake goes on as a smoothed column does. So it is looked
     for behind other bridges, too, where one that brakes leaves some of the motion.
     """
-    noise_rad = noise_of_all_rad(tests)
+    over = [test.noise_over_rad(math.ceil(PIECE_S / test.period_s)) for test in tests]
+    noise_rad = math.sqrt(sum(one**2 for one in over) / len(over))
     if not plain.is_motor or plain.rms_rad < LEAVES * noise_rad or any(test.t_u_s is not None for test in tests):
         return None
     rad, found = _behind(NOTHING, tests, plain, noise_rad)
@@ -179,14 +184,15 @@ def _behind(
 ) -> tuple[float, Smoothing | None]:
     """What the plain motor behind a bridge leaves, rad, and how a column was smoothed, as ``smoothing``."""
     period_s = max(test.period_s for test in tests)
-    tau_s: dict[Smoothing, float] = {}
+    motors: dict[Smoothing, RealMotor] = {}
 
+    @cache
     def left(one: Smoothing) -> float:
         undone = [one.undone(test) for test in tests]
         if any(float(np.mean(np.abs(test.u_V) > OVER * test.most_V)) > RARE for test in undone):
             return math.inf  # no bridge gave that
         fit = plain_in_pieces(undone, plain, bridge)
-        tau_s[one] = fit.motor.tau_s
+        motors[one] = fit.motor
         return one.left_rad(fit)
 
     def beyond(rad: float) -> float:
@@ -198,49 +204,58 @@ def _behind(
     if without < SHOWS * noise_rad:
         return without, None  # over pieces the plain motor leaves no more than noise
     tried = {one: left(one) for one in _first(tests, period_s)}
-    best = min(tried, key=lambda one: tried[one], default=None)
-    if best is None or beyond(tried[best]) > PROMISING**2 * beyond(without):
+    best = first = min(tried, key=lambda one: tried[one], default=None)
+    if first is None or best is None or beyond(tried[first]) > PROMISING**2 * beyond(without):
         return without, None
-    found = {best: tried[best]}
+    found = {first: tried[first]}
 
-    def refine(first: Smoothing, wide: float, longest_s: float) -> None:
-        low_s, high_s = first.size_s / wide, min(first.size_s * wide, longest_s)
-        size_s, rad = lowest(lambda s: left(first._replace(size_s=s)), low_s, high_s, FINER)
-        found[first._replace(size_s=size_s)] = rad
+    def refine(one: Smoothing, wide: float, longest_s: float, steps: int) -> None:
+        low_s, high_s = one.size_s / wide, min(one.size_s * wide, longest_s)
+        size_s, rad = lowest(lambda s: left(one._replace(size_s=s)), low_s, high_s, steps)
+        found[one._replace(size_s=size_s)] = rad
 
-    for order, wide, longest_s in ((1, _apart(period_s), LONGEST_S), (MEAN, 2.0, MOST_ROWS * period_s)):
-        ours = [one for one in tried if (one.column, one.order) == (best.column, order) and tried[one] < without]
-        if ours:
-            refine(min(ours, key=lambda one: tried[one]), wide, longest_s)
-    once = min((one for one in found if one.order == 1), key=lambda one: found[one], default=best)
-    if once.order == 1 and found[once] > NOISY * noise_rad:
-        twice = Smoothing(once.column, 0.5 * once.size_s, 2)  # late by as much as one, and they round off more
-        refine(twice, 2.0, LONGEST_S)
-    by_order = sorted(found, key=lambda one: (one.order, found[one]))
-    best = min((one for one in by_order if one.order < 2), key=lambda one: found[one])
-    best = next((one for one in by_order if one.order == 2 and found[one] < TWICE * found[best]), best)
-    is_sure = sum(map(len, tests)) * math.log(without / found[best]) > SURE
-    # where a motor leaves so much of the motion, or asks for the longest mean, it is no plain one with a smooth column
+    for steps in (COARSE, FINER):
+        for order, wide, longest_s in ((1, _apart(period_s), LONGEST_S), (MEAN, 2.0, MOST_ROWS * period_s)):
+            ours = [one for one in tried if (one.column, one.order) == (first.column, order) and tried[one] < without]
+            if ours:
+                refine(min(ours, key=lambda one: tried[one]), wide, longest_s, steps)
+        once = min((one for one in found if one.order == 1), key=lambda one: found[one], default=first)
+        if once.order == 1 and found[once] > NOISY * noise_rad:
+            twice = Smoothing(once.column, 0.5 * once.size_s, 2)  # late by as much as one, and they round off more
+            refine(twice, 2.0, LONGEST_S, steps)
+        by_order = sorted(found, key=lambda one: (one.order, found[one]))
+        best = min((one for one in by_order if one.order < 2), key=lambda one: found[one])
+        best = next((one for one in by_order if one.order == 2 and found[one] < TWICE * found[best]), best)
+        cuts = NEARLY_ALL if plain.spoiled else CUTS
+        if beyond(found[best]) >= cuts**2 * beyond(without):
+            return without, None
+    band = {**bridge, DEAD_BAND: SMALL * max(float(np.abs(test.u_V).max()) for test in tests)}
+    is_band = plain_in_pieces(tests, plain, band).rms_rad < found[best]  # at each reversal it lags as a filter does
+    if is_band or not sum(map(len, tests)) * math.log(without / found[best]) > SURE:
+        return without, None
+    # where a motor leaves so much of the motion, or asks for the longest change, it is no plain one behind one
     most_rad = max(NOISY * noise_rad, EXPLAINS * max(float(np.std(test.y_rad)) for test in tests))
-    is_told = found[best] < most_rad and not (best.order == MEAN and best.size_s > NEAR * MOST_ROWS * period_s)
-    cuts = NEARLY_ALL if plain.spoiled else CUTS
-    shows = is_sure and beyond(found[best]) < cuts**2 * beyond(without)
+    longest_s = NEAR * (MOST_ROWS * period_s if best.order == MEAN else LONGEST_S)
+    is_told = found[best] < most_rad and best.size_s < longest_s
     # a low pass of a drive, which has no noise, is undone to the last bit; behind a velocity's noise nothing is known
     is_other = best.order > 0 and best.column == "drive" and found[best] > NOISY * noise_rad
-    share = COVERAGE * math.sqrt(beyond(found[best]) / beyond(without)) if shows and is_other else 0.0
-    if not shows:
-        return without, None
+    share = COVERAGE * math.sqrt(beyond(found[best]) / beyond(without)) if is_other else 0.0
+    moves = (0.0, 0.0)
     if best.order > 0 and best.column != "drive":
-        beside = [left(best._replace(size_s=best.size_s * of)) for of in (1.0 - BESIDE, 1.0 + BESIDE)]
-        rise = (sum(beside) / 2.0 / found[best]) ** 2 - 1.0
+        beside = [best._replace(size_s=best.size_s * of) for of in (1.0 - BESIDE, 1.0 + BESIDE)]
+        rise = (sum(map(left, beside)) / 2.0 / found[best]) ** 2 - 1.0
         share = KNOWN * BESIDE / math.sqrt(max(rise, 1e-6))
-        other_s = tau_s[best]  # a motor and a filter could stand in each other's place, but for friction
+        other_s = motors[best].tau_s  # a motor and a filter could stand in each other's place, but for friction
         if (
             period_s < other_s < LONGEST_S
             and left(best._replace(size_s=other_s)) < math.hypot(1.0, KNOWN) * found[best]
         ):
             share = max(share, abs(other_s / best.size_s - 1.0))
-    return found[best], best._replace(left=(share if share > 1.0 else min(share, MOST_LEFT)) if is_told else 1.0)
+        small, large = (motors[one] for one in beside)
+        by = share / (2.0 * BESIDE)
+        moves = by * abs(large.K_rad_s_V / small.K_rad_s_V - 1.0), by * abs(large.fc_V - small.fc_V)
+    share = share if share > 1.0 else min(share, MOST_LEFT)
+    return found[best], best._replace(left=share if is_told else 1.0, moves=moves)
 
 
 def _apart(period_s: float) -> float:

@@ -329,6 +329,9 @@ def test_a_column_may_say_which_run_a_row_is_of(tmp_path: Path, bench: Bench) ->
     assert [len(one) for one in found] == [bench.ms.size, bench.ms.size]
     for one in found:
         same(one, bench)
+    columns["trial"] = ms
+    with pytest.raises(RecordingError, match="in fewer than 3 rows: that is no run; give the column that says which"):
+        read_all(log_of(tmp_path, columns), replace(COUNTED, run="trial"))
 
 
 @pytest.mark.parametrize(

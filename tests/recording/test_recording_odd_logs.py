@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import subprocess
 from pathlib import Path
 from typing import Final
@@ -79,6 +80,10 @@ ODD = {  # for each: the log, what the error says, what to type by it
     "no time, other names": (
         log("volts,deg", row="{u},{y:.4f}"), "row to row", "--period 10ms --drive V --position deg"
     ),
+    "a speed of the motor": (
+        log("Sample,PWM,targetSpeed,Motor Speed (RPM)", row="{k},{u},1,{y:.4f}"), "row to row",
+        "--period 10ms --drive PWM:pwm --velocity 'Motor Speed (RPM):rpm'",
+    ),
     "dates": (
         log("timestamp,u_V,y_rad", row="2026-01-02T03:04:05.{k:02d}0,{u},{y:.4f}"),
         "did you mean", "--time timestamp:s",
@@ -112,7 +117,7 @@ def test_an_odd_log_is_refused_with_options_that_read_it(tmp_path: Path, name: s
         read(path)
     said = str(caught.value)
     assert words in said and options in said
-    typed = options.replace("UNIT", "rpm" if "velocity" in options else "V").split()
+    typed = shlex.split(options.replace("UNIT", "rpm" if "velocity" in options else "V"))
     typed += [part for part in re.findall(r"of \w+ also ([^,;]+)", said) for part in part.split()]
     result = CliRunner().invoke(reading, [str(path), *typed])
     assert result.exit_code == 0, (result.output, result.exception)

@@ -203,13 +203,14 @@ class Chooser:
         Where it leaves far more than noise, nearly all are farther off than noise is, and a fit by their sizes takes
         many times the steps.
         """
-        fit = start(self.problem(cut, laws, ROBUST * self.sigma_rad), motor)
-        if fit.rms_rad <= LOST * self.sigma_rad:
-            return fit
-        by_squares = solve(refitted(fit, replace(fit.problem, robust_rad=math.inf)), LEAP_ITERATIONS)
-        if by_squares.scatter_rad <= LOST * self.sigma_rad:
-            return fit
-        return refitted(by_squares, replace(fit.problem, robust_rad=ROBUST * by_squares.scatter_rad))
+        fit = start(self.problem(cut, laws, math.inf), motor)
+        robust = refitted(fit, replace(fit.problem, robust_rad=ROBUST * fit.noise_rad))
+        if fit.rms_rad <= LOST * fit.noise_rad:
+            return robust
+        by_squares = solve(fit, LEAP_ITERATIONS)
+        if by_squares.scatter_rad <= LOST * fit.noise_rad:
+            return robust
+        return refitted(by_squares, replace(by_squares.problem, robust_rad=ROBUST * by_squares.scatter_rad))
 
     def tells(self, fit: Fit, tests: int, tested: int) -> bool:
         """Whether a fit tells whole tests to the sensor's noise: the first ``tests`` windows, and ``tested`` rows."""

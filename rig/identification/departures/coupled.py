@@ -35,7 +35,7 @@ ROWS_OF_SWING = 2.5  # at least so many rows show a swing
 def coupling_of(choice: Choice, whole: Cut, chooser: Chooser) -> Coupling | None:
     """The coupling with which the chosen laws explain blocks best; None where none takes enough."""
     fit = choice.fit
-    if fit.rms_rad < LEAVES * chooser.sigma_rad:
+    if fit.rms_rad < LEAVES * fit.noise_rad:
         return None
     blocks = Blocks.of(whole, fit.motor.tau_s, LAW_BLOCK)
     problem = chooser.problem(blocks.cut, choice.laws, math.inf)

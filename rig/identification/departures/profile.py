@@ -170,15 +170,19 @@ def _by_size(fit: Fit, begin: Fit, law: Departure, bench: Bench) -> _Sizes:
     [name] = law.numbers
     here = np.array([getattr(fit.motor, key) for key in OF])
     sizes, rise, moves = [], [], []
-    one, fits = begin, []
-    for size in sorted(law.sizes(bench)):
-        one = solve(refitted(one, motor=one.motor._replace(**{name: size})), STEPS)
+    one, fits, left = begin, [], sorted(law.sizes(bench))
+    while left:
+        size = left.pop(0)
+        steps = STEPS if size < law.range_of(bench) else TRIAL_ITERATIONS
+        one = solve(refitted(one, motor=one.motor._replace(**{name: size})), steps)
         sizes.append(size)
         rise.append(_rise(one, fit))
         fits.append(one)
         moves.append(np.array([getattr(one.motor, key) for key in OF]) - here)
         if rise[-1] > HOPELESS and size > max(bench.small_drives_V, default=0.0):
             break
+        if not left and rise[-1] == min(rise) < -CHANCE and 2.0 * size < law.most(bench):
+            left = [2.0 * size]  # the largest of the usual sizes is the likeliest: the true one may be larger
     at, found = np.array(sizes), np.array(moves)
     slopes = np.gradient(found, at, axis=0) if at.size > 1 else found / at[:, None]
     widths = _widths(at, law, bench)
@@ -187,7 +191,7 @@ def _by_size(fit: Fit, begin: Fit, law: Departure, bench: Bench) -> _Sizes:
 
 
 def _widths(sizes: Array, law: Departure, bench: Bench) -> Array:
-    """Of the sizes that each of the first ones among ``law.sizes`` stands for."""
-    every = np.array(sorted(law.sizes(bench)))
-    edges = np.concatenate(([0.0], 0.5 * (every[1:] + every[:-1]), [law.range_of(bench)]))
+    """Of the sizes that each of the first ones among ``law.sizes``, or of larger ones, stands for."""
+    every = np.array(sorted({*law.sizes(bench), *sizes}))
+    edges = np.concatenate(([0.0], 0.5 * (every[1:] + every[:-1]), [max(law.range_of(bench), every[-1])]))
     return np.asarray(np.diff(edges)[: sizes.size])

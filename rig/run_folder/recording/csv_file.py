@@ -27,6 +27,7 @@ from rig.run_folder.recording.log_format import (
     units_of_column,
     units_said,
     usual_places,
+    words_of,
 )
 from rig.run_folder.recording.log_lines import is_date, is_number, shown
 from rig.run_folder.recording.log_mends import in_order, once, runs_of, unwrapped_clock
@@ -158,8 +159,10 @@ def _lacking(text: CsvText, names: Sequence[str], missing: Sequence[str]) -> Rec
     dates = "t_s" in guesses and any(map(is_date, first_row[names.index(guesses["t_s"]) :][:1]))
     options = {name: _option(own[name], guess, names, text.units) for name, guess in guesses.items()}
     if "y_rad" in missing and "y_rad" not in guesses:
-        speed = next((name for name in names if sounds_like(name, "velocity")), None)
-        options |= {} if speed is None else {"y_rad": _option("velocity", speed, names, text.units)}
+        free = [name for name in names if name not in guesses.values() and not sounds_like(name, "goal")]
+        speeds = [name for name in free if sounds_like(name, "velocity")]
+        speeds += [name for name in free if (USUAL_NAMES["velocity"] - {"v"}).intersection(words_of(name))]
+        options |= {"y_rad": _option("velocity", speeds[0], names, text.units)} if speeds else {}
     if dates:  # a date is read as seconds
         options["t_s"] = f"--time {quote(guesses['t_s'] + ':s')}"
     hints = [f"{shown(guess)} for {name}" for name, guess in guesses.items()]

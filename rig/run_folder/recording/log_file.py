@@ -361,7 +361,12 @@ def _runs(
     """The rows of each run in the file, counted from 0. Raises RecordingError."""
     if log.run is not None:
         names = _words(path, table.text, header, rows, "run", log.run)
-        found, begins = np.unique(names, return_index=True)
+        found, begins, counts = np.unique(names, return_index=True, return_counts=True)
+        if counts.min() < MIN_ROWS:
+            k = int(np.argmin(counts))
+            cause = f"column {shown(log.run)} says {shown(str(found[k]))} in fewer than {MIN_ROWS} rows: that is no run"
+            cure = "give the column that says which run a row is of: --run COLUMN; or delete these lines"
+            raise RecordingError(path, cause, cure, rows[int(begins[k])])
         return [np.flatnonzero(names == found[k]) for k in np.argsort(begins)]
     if log.period_s is None:
         motion = raw["y_rad"] if "y_rad" in raw else raw["v_rad_per_s"]

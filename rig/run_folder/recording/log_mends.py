@@ -22,7 +22,7 @@ _FEW_STEPS, _FEWEST_MOVES = 10.5, 10  # of a counter, between two rows, for a ve
 # is tried, how many, and on how many ways from row to row, for all took longer than the fit; log of the probability
 # that chance alone puts as many near whole steps
 _COARSE, _NEAR_STEP, _MOST_STEPS, _MOST_TRIED, _BY_CHANCE = 20.0, 0.02, 200_000, 500, -30.0
-_LEAST_SHARE = 1e-3
+_LEAST_SHARE, _FEW, _LIKELY = 1e-3, 40, 0.8
 _FEWEST_KINDS = 30  # of changes from row to row: fewer are those of a ramp, which is near any grid
 _OF_BITS: Final = {8: 2.0**8, 16: 2.0**16, 32: 2.0**32}  # numbers that a whole number of so many bits can be
 _COUNTERS: Final = (8, 10, 12, 14, 16, 32)  # bits of a position
@@ -337,24 +337,27 @@ def _rounded_step(moved: Floats, rounded: Floats) -> float | None:
     tried = slice(None, None, math.ceil(each.size / _MOST_TRIED))
     each, most = each[tried], most[tried]
     off = float(np.median(most))
-    count_of, near_enough = each.size, 1.0 - 2.0 * _NEAR_STEP
-
-    def chance(share: float) -> float:  # that so many numbers are near, of which this share would be by chance (Sanov)
-        left = (1.0 - near_enough) * math.log((1.0 - near_enough) / (1.0 - share))
-        return -count_of * (near_enough * math.log(near_enough / share) + left) - _BY_CHANCE
-
-    if chance(_LEAST_SHARE) > 0.0:
+    near_enough = 1.0 - 2.0 * _NEAR_STEP
+    # log of the chance that so many numbers are near, of which such a share would be by chance (Sanov)
+    shares = np.geomspace(_LEAST_SHARE, near_enough, 1000)
+    left = (1.0 - near_enough) * np.log((1.0 - near_enough) / (1.0 - shares))
+    chance = -each.size * (near_enough * np.log(near_enough / shares) + left)
+    if chance[0] > _BY_CHANCE:
         return None
-    from scipy.optimize import brentq  # it loads slowly, and few logs need it
-
-    low, high = 2.0 * off / brentq(chance, _LEAST_SHARE, near_enough), min(float(each[0]) + off, _COARSE * off)
+    share = float(shares[np.searchsorted(chance, _BY_CHANCE) - 1])
+    low, high = 2.0 * off / share, min(float(each[0]) + off, _COARSE * off)
     count = math.log(max(high / low, 1.0)) * float(each[-1]) / (_NEAR_STEP * off)
     steps = np.geomspace(high, low, math.ceil(min(count, _MOST_STEPS)))
-    for some in np.array_split(steps, math.ceil(steps.size / 1000)) if steps.size else ():
-        whole = some[:, None] * np.round(each / some[:, None])
-        near = np.mean(np.abs(each - whole) < (1.0 - _NEAR_STEP) * most, axis=1)
-        if near.max() > near_enough:
-            return float(some[np.argmax(near)])
+    few = slice(None, None, math.ceil(each.size / _FEW))  # of what is near all, most of some are: others are left out
+
+    def near(some: Floats, at: slice) -> Floats:
+        whole = some[:, None] * np.round(each[at] / some[:, None])
+        return np.asarray(np.mean(np.abs(each[at] - whole) < (1.0 - _NEAR_STEP) * most[at], axis=1))
+
+    for some in np.array_split(steps, math.ceil(steps.size / 10_000)) if steps.size else ():
+        likely = some[near(some, few) > _LIKELY]
+        if likely.size and (are_near := near(likely, slice(None))).max() > near_enough:
+            return float(likely[np.argmax(are_near)])
     return None
 
 
