@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from rig.identification.departures.departure import NOTHING
 from rig.identification.departures.fit import Fit
 from rig.identification.estimate import Estimate
-from rig.identification.in_pieces import DEAD_BAND, PIECE_S, plain_in_pieces
+from rig.identification.in_pieces import DEAD_BAND, PIECE_S, free_between, plain_in_pieces
 from rig.identification.lowest import lowest
 from rig.identification.plausibility import divides_a_turn
 from rig.identification.preprocessing import unfiltered
@@ -171,7 +171,7 @@ def smoothing(tests: Sequence[TimeSeries], plain: Estimate) -> Smoothing | None:
         return None
     rad, found = _behind(NOTHING, tests, plain, noise_rad)
     ways_rad = [float(np.std(np.diff(test.y_rad))) * COAST_S / test.period_s for test in tests]
-    for bridge in NO_BRAKES if rad > EXPLAINS * max(ways_rad) else ():
+    for bridge in (*NO_BRAKES, free_between(tests)) if rad > EXPLAINS * max(ways_rad) else ():
         if rad > NOISY * noise_rad:
             other_rad, other = _behind(bridge, tests, plain, noise_rad)
             is_told = other is None or other.left != 1.0
