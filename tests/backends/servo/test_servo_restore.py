@@ -172,10 +172,11 @@ def test_a_run_that_is_killed_anywhere_is_put_right_by_the_next(protocol: str, s
     assert there or step > 12
 
 
+@pytest.mark.every_id
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_an_opening_that_puts_back_asks_no_id_more_often_than_another(protocol: str) -> None:
     """To ask all of them takes seconds."""
-    bench, absent, pings = Bench(protocol), 9, list[int]()
+    bench, absent, pings = Bench(protocol), 252, list[int]()
     asks = bench.driver._bus.ping(absent).data
     for _ in range(2):
         written: list[bytes] = []
