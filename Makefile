@@ -36,7 +36,7 @@ test: .venv/.ready  ## check, and every test but the long evidence, the firmware
 
 # once, and not in each worker: what the tests load; a test that does not load shows after it
 compiled: .venv/.ready firmware
-	@$(PYTEST) --collect-only -qq >/dev/null || true
+	@$(PYTEST) --collect-only -qq -p no:unraisableexception >/dev/null || true
 
 evidence: .venv/.ready firmware  ## the tests that compute long: full ranges of parameters, matrices, campaigns
 	$(PYTEST) -m "evidence and not (realtime or alone)" -n $$(nproc) $(SHARED)

@@ -6,9 +6,11 @@ import importlib
 import resource
 import signal
 from collections.abc import Callable, Generator, Iterator
+from functools import partial
 from typing import Any
 
 import pytest
+import yaml
 from hypothesis import HealthCheck, settings
 
 # The same examples in every run, so that what fails says what changed; `make search` draws others. No deadline, nor a
@@ -17,6 +19,9 @@ TIMELESS: dict[str, Any] = {"deadline": None, "suppress_health_check": [HealthCh
 settings.register_profile("same", derandomize=True, **TIMELESS)
 settings.register_profile("search", derandomize=False, print_blob=True, **TIMELESS)
 settings.load_profile("same")
+
+for name, kind in (("safe_load", "Loader"), ("safe_dump", "Dumper")):  # by libyaml, in a tenth of the time
+    setattr(yaml, name, partial(getattr(yaml, name[5:]), **{kind: getattr(yaml, f"CSafe{kind}")}))
 
 # Rooms about what is found of a motor, and about what is shown. Elsewhere a run ends without laws, or without figures.
 FINDINGS = {"campaign", "compare", "export", "fuzz", "identify", "report", "results", "tools", "tune"}
@@ -127,6 +132,15 @@ def _laws_where_looked_at(request: pytest.FixtureRequest) -> Iterator[None]:
     """To look for laws takes longer than a run in virtual time: rooms about findings, and those marked ``laws``, do."""
     looks = request.node.get_closest_marker("laws") or request.path.parent.name in FINDINGS
     with contextlib.nullcontext() if looks else _no_laws():
+        yield
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _few_ids(request: pytest.FixtureRequest) -> Iterator[None]:
+    """To ask nobody takes a third of the time: in the room of servos an opening asks the ids up to 8 who is there."""
+    with pytest.MonkeyPatch.context() as patch:
+        if request.path.parent.name == "servo" and request.node.get_closest_marker("every_id") is None:
+            patch.setattr(importlib.import_module("rig.backends.servo.opening"), "LAST_ID", 8)
         yield
 
 

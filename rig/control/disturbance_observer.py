@@ -10,10 +10,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
 
 from rig.core.signals import Sample
-from rig.model.linear import input_vector, transition
+from rig.model.linear import input_vector, settled, transition
 from rig.model.step import State, glide
 
 _WELL_POSED = 1e-9  # process noise of velocity and position beside the load's
@@ -57,7 +56,7 @@ class DisturbanceObserver:
         A[:2, 2] = -input_vector(tau_s, K_rad_s_V, period_s)[:2]
         C = np.array([[0.0, 1.0, 0.0]])
         Q = np.diag([_WELL_POSED, _WELL_POSED, wander_V**2])
-        P = solve_discrete_are(A.T, C.T, Q, np.eye(1))
+        P = settled(A, C.T @ C, Q)
         gain = P @ C.T / (1.0 + P[1, 1])
         self.transition = A
         self.gain = np.asarray(gain[:, 0], dtype=np.float64)

@@ -6,11 +6,10 @@ import math
 from collections import deque
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
 
 from rig.control.known_motor import MotorState, known
 from rig.core.signals import Sample
-from rig.model.linear import input_vector, transition
+from rig.model.linear import input_vector, settled, transition
 from rig.model.motor import Motor
 from rig.model.real_motor import FramedMotor
 
@@ -59,7 +58,7 @@ class MotorObserver:
             C, R = np.array([[0.0, 1.0], [1.0, 0.0]]), np.diag([noise_rad**2, tachometer_noise_rad_s**2])
         # a little process noise on every state keeps the Riccati equation well posed
         Q = B @ B.T * _DISTURBANCE_V**2 + np.diag([1e-6, 1e-10])
-        P = solve_discrete_are(A.T, C.T, Q, R)
+        P = settled(A, C.T @ np.linalg.inv(R) @ C, Q)
         self._gain: list[list[float]] = (P @ C.T @ np.linalg.inv(C @ P @ C.T + R)).tolist()
 
     def step(self, sample: Sample) -> MotorState:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_discrete_lyapunov
 
 from rig.control.disturbance_observer import DisturbanceObserver
 from rig.control.law import BareLaw
@@ -16,6 +15,7 @@ from rig.control.sweep_plan import SweepPlan, fastest_loop_1_s
 from rig.control.trajectory import Reference, SumOfSines
 from rig.core.faults import Fault
 from rig.core.signals import Sample
+from rig.model.linear import settled
 
 SLOWEST_1_S = 0.5
 OBSERVER = 3.0  # its bandwidth over the loop's
@@ -99,7 +99,7 @@ def scatter(motor: CrudeMotor, period_s: float, bandwidth_1_s: float) -> Scatter
     step[2:, 2:] = (np.eye(3) - L @ np.array([[0.0, 1.0, 0.0]])) @ A
     noise = np.zeros((5, 1))
     noise[2:] = L
-    covariance = solve_discrete_lyapunov(step, noise @ noise.T)
+    covariance = settled(step, np.zeros((5, 5)), noise @ noise.T)
     drive = np.concatenate((by_state[0, :2], -by_state[0]))
     return Scatter(float(np.sqrt(drive @ covariance @ drive)), float(np.sqrt(covariance[0, 0])))
 

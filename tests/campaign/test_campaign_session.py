@@ -146,6 +146,7 @@ def test_ctrl_c_on_the_terminal_is_two_lines_that_say_how_to_go_on(tmp_path: Pat
     assert "goes on" in lines[1]
 
 
+@pytest.mark.evidence  # make test joins one that is there
 def test_a_dask_cluster_gives_the_same_rows(tmp_path: Path) -> None:
     """In a process of its own: a cluster that is started in a worker of pytest-xdist hangs. Without a page."""
     program = (

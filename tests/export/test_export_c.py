@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from evidence import evidence
 from numpy.typing import NDArray
 from run_with_laws import LAWS, PERIOD_S, PLAIN, motor_of, run_with
 
@@ -92,7 +93,10 @@ def chip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-@pytest.mark.parametrize("laws", [(), MOVED, ("cogging", "friction_over_position", "sag", "linearity")], ids=len)
+OTHERS = ("cogging", "friction_over_position", "sag", "linearity")
+
+
+@pytest.mark.parametrize("laws", [MOVED, OTHERS, *evidence(((),))], ids=len)
 def test_the_controller_asks_for_rigs_own_drive_tick_for_tick(tmp_path: Path, laws: tuple[str, ...]) -> None:
     assert set(laws) <= set(LAWS)
     run = run_with(tmp_path, *laws)
@@ -106,7 +110,7 @@ def test_the_controller_asks_for_rigs_own_drive_tick_for_tick(tmp_path: Path, la
     np.testing.assert_allclose(theirs, ticks.drives_V, rtol=0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("laws", [(), MOVED], ids=len)
+@pytest.mark.parametrize("laws", [MOVED, *evidence(((),))], ids=len)
 def test_on_the_uno_it_is_the_same_to_the_precision_of_its_numbers(
     tmp_path: Path, chip: Path, laws: tuple[str, ...]
 ) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import rig
+from evidence import evidence
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.io import loadmat
@@ -106,7 +107,7 @@ def test_a_json_file_is_one_strict_object(run_folder: Path, tmp_path: Path) -> N
     assert (found["run"], found["units"]["z_rad_s"]) == (run_folder.name, "rad s")
 
 
-@pytest.mark.parametrize("name", ["simulated", "simulated-hysteretic", "modbus-separate"])
+@pytest.mark.parametrize("name", ["simulated-hysteretic", "modbus-separate", *evidence("simulated")])
 def test_a_csv_file_gives_exactly_the_estimates_of_the_folder(name: str, tmp_path: Path) -> None:
     export(GOLDEN / name, tmp_path / "a.csv")
     ours = identify([read(tmp_path / "a.csv")], choose_law=False)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from evidence import evidence
 from processes import PATIENCE_S, rows, wait_until
 
 from emulated_chips.chip_board import ChipBoard
@@ -48,7 +49,7 @@ def drive_until_it_moves(port: str, experiment: Experiment, chip: str) -> float:
 @pytest.mark.realtime
 @pytest.mark.parametrize(
     ("chip", "emulated", "drive_V"),  # 23 of 400 units of 12 V, and 365 of 6250
-    [("uno", ("demo.yaml", "--chip"), 0.69), ("pico", ("demo-pico.yaml",), 0.7008)],
+    [("uno", ("demo.yaml", "--chip"), 0.69), *evidence(("pico", ("demo-pico.yaml",), 0.7008))],
     ids=["uno", "pico"],
 )
 def test_it_is_driven_as_a_board_would_be(chip: str, emulated: tuple[str, ...], drive_V: float, tmp_path: Path) -> None:

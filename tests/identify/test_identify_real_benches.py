@@ -168,7 +168,7 @@ def test_stamps_that_scatter_about_even_rows_are_evened(scatter: str) -> None:
         assert evened(truly) == (truly, [])
 
 
-@pytest.mark.parametrize("most_V", [5.0, 6.8])
+@pytest.mark.parametrize("most_V", [6.8, *evidence(5.0)])
 def test_a_drive_that_is_asked_for_beyond_its_supply_is_limited(most_V: float) -> None:
     """A sine clipped at 5 V: K was 30 % off beside 13 %. Of a few sizes of drive no limit can be told."""
     t_s = np.linspace(0.0, 6.0, 1200, endpoint=False)
@@ -193,12 +193,13 @@ def test_a_drive_two_rows_late_is_fitted_there_and_named() -> None:
 @pytest.mark.parametrize(
     ("how", "said"),
     [
-        ("mean of positions", "each reading is like a mean of"),
         ("mean of both", "each row is like a mean of"),
-        ("mean of drives", "each drive is like a mean of"),
         ("filtered drive", "the drive is low-passed by 15 ms"),
         ("ramped drive", "the drive goes up and down at one pace"),
         ("late direction", "the direction of the drive stands 7 rows late"),
+        *evidence(
+            ("mean of positions", "each reading is like a mean of"), ("mean of drives", "each drive is like a mean of")
+        ),
     ],
 )
 def test_a_column_that_was_smoothed_or_came_late_is_named_and_undone(how: str, said: str) -> None:
@@ -413,7 +414,7 @@ def test_a_dead_band_is_part_of_f_c_where_the_drive_always_goes_along_and_the_an
     assert [cut.bench(motor, 0.0).goes_along for cut in cuts] == [True, True, False, False]
 
 
-@pytest.mark.parametrize(("is_sine", "filter_s"), [(True, 0.1), (False, 0.1), (False, 0.3)])
+@pytest.mark.parametrize(("is_sine", "filter_s"), [(False, 0.3), *evidence((True, 0.1), (False, 0.1))])
 def test_a_reading_that_was_filtered_before_it_was_rounded_is_undone_all_the_same(
     is_sine: bool, filter_s: float
 ) -> None:

@@ -66,7 +66,7 @@ def recorded(d: Draw, noise_rad: float, seed: int, t_u_known: bool) -> tuple[Tim
     return record(samples, t_u_known, first), samples.true, starts
 
 
-@pytest.mark.parametrize("t_u_known", [True, False])
+@pytest.mark.parametrize("t_u_known", [False, *evidence(True)])
 def test_clean_data_give_the_motor_exactly(t_u_known: bool) -> None:
     rng = np.random.default_rng(11)
     for seed in range(8):

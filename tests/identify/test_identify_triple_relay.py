@@ -262,7 +262,7 @@ def grid(count: int) -> Iterator[tuple[Check, float, float]]:
             yield (tau, K, fc, h1, h2), ticks, asym
 
 
-@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("known", [True, *evidence(False)])
 def test_at_ten_milliseconds_it_is_a_fair_reference_and_its_intervals_say_how_good(known: bool) -> None:
     off, covered = [], []
     for k, (check, ticks, asym) in enumerate(grid(40)):

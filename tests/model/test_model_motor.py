@@ -13,8 +13,10 @@ from evidence import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
 from rig.model.friction import NONE, Friction, coulomb
+from rig.model.linear import input_vector, settled, transition
 from rig.model.motor import Motor, State
 from shared.physics import pieces, stopping_distance
 
@@ -140,3 +142,18 @@ def test_parameters_out_of_range_are_refused() -> None:
     with pytest.raises(ValueError, match="static"):
         coulomb(0.5, 0.4)
     assert NONE.fc_V == 0.0
+
+
+@settings(max_examples=examples(60), deadline=None)
+@given(taus, gains, st.floats(0.001, 0.05), st.floats(1e-4, 0.03), st.floats(0.01, 1.0))
+def test_a_filter_settles_as_scipy_says(
+    tau_s: float, K: float, h_s: float, noise_rad: float, noise_rad_s: float
+) -> None:
+    A, B = transition(tau_s, h_s)[:2, :2], input_vector(tau_s, K, h_s)[:2]
+    H, R = np.outer(B, B) * 0.02 + 1e-8 * np.eye(2), np.diag([noise_rad**2, noise_rad_s**2])
+    C = np.array([[0.0, 1.0], [1.0, 0.0]])
+    for seen in (1, 2):  # the position alone; the tachometer, too
+        by, noise = C[:seen], R[:seen, :seen]
+        found = settled(A, by.T @ np.linalg.inv(noise) @ by, H)
+        np.testing.assert_allclose(found, solve_discrete_are(A.T, by.T, H, noise), rtol=1e-6)
+    np.testing.assert_allclose(settled(0.9 * A, np.zeros((2, 2)), H), solve_discrete_lyapunov(0.9 * A, H), rtol=1e-9)

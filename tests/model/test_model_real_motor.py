@@ -185,7 +185,7 @@ class Reference:
 @pytest.mark.parametrize(
     "names",
     [
-        pytest.param(names, id=case, marks=[pytest.mark.evidence] if k % 4 else [])
+        pytest.param(names, id=case, marks=[pytest.mark.evidence] if k % 8 else [])
         for k, (case, names) in enumerate(CASES.items())
     ],
 )

@@ -9,6 +9,7 @@ import pytest
 from control.frdata import FrequencyResponseData
 from control.margins import stability_margins
 from control.statesp import StateSpace
+from evidence import one_of_each
 
 from rig.control.observer import MotorObserver
 from rig.control.set_point import PositionStep
@@ -71,8 +72,7 @@ def test_the_matrices_are_the_law_without_friction(motor: LinearMotor, loop: Loo
         assert u_V == pytest.approx(expected_V, rel=1e-4, abs=1e-6), k  # a lag is integrated in steps
 
 
-@pytest.mark.parametrize("loop", LOOPS)
-@pytest.mark.parametrize("motor", MOTORS, ids=str)
+@pytest.mark.parametrize(("motor", "loop"), one_of_each(*zip(MOTORS, 2 * LOOPS, strict=True)), ids=str)
 def test_margins_are_those_of_python_control(motor: LinearMotor, loop: Loop) -> None:
     controller = controller_matrices(motor, observer_of(motor), gains_for(loop, 6.0, motor.tau_s), PERIOD_S)
     off = motor_matrices(LinearMotor(1.1 * motor.tau_s, motor.K_rad_s_V, motor.lag_s, motor.delay_s), PERIOD_S)

@@ -9,7 +9,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from rig.core.arrays import Array
 from rig.core.estimators import MAIN
@@ -204,7 +203,7 @@ def covariance_of(runs: Sequence[ComparedRun], bench: Sequence[int]) -> Array:
     Each run's noise is its own. What else may be wrong moves all runs of a bench alike: it cancels between them.
     Between benches nothing is shared.
     """
-    whole = np.asarray(block_diag(*(run.covariance for run in runs)), dtype=np.float64)
+    whole = _block_diagonal([run.covariance for run in runs])
     shared = shared_variance(runs, bench)
     if len(shared) == 1:
         return whole
@@ -222,4 +221,10 @@ def uncancelled(runs: Sequence[ComparedRun]) -> Array:
     """
     variances = [sum((line**2 for line in (run.lines or {}).values()), np.zeros(3)) for run in runs]
     blocks = [run.covariance + np.diag(variance) for run, variance in zip(runs, variances, strict=True)]
+    return _block_diagonal(blocks)
+
+
+def _block_diagonal(blocks: Sequence[Array]) -> Array:
+    from scipy.linalg import block_diag  # it loads slowly, and `import rig` loads this file
+
     return np.asarray(block_diag(*blocks), dtype=np.float64)

@@ -8,10 +8,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.special import chdtrc, stdtr, stdtrit
 
 from rig.core.arrays import Array
 
@@ -36,7 +35,7 @@ class Agreement:
     @property
     def alone(self) -> Array:
         """(n,) probability that one of the same motor is off the others at least so much."""
-        return np.asarray(chdtrc(self.off.shape[1], self.square), dtype=np.float64)
+        return np.asarray(_special().chdtrc(self.off.shape[1], self.square), dtype=np.float64)
 
 
 def agreement(values: Array, covariance: Array) -> Agreement:
@@ -61,7 +60,7 @@ def agreement(values: Array, covariance: Array) -> Agreement:
         off[k] = spread @ pull[own]
         error[k] = np.sqrt(np.diag(spread))
         square[k] = max(pull[own] @ off[k], 0.0)  # of equal values rounding makes a square below 0
-    return Agreement(float(chdtrc(p * (n - 1), max(values.ravel() @ pull, 0.0))), off, error, square)
+    return Agreement(float(_special().chdtrc(p * (n - 1), max(values.ravel() @ pull, 0.0))), off, error, square)
 
 
 def odd_ones(values: Array, covariance: Array, level: float) -> list[int] | None:
@@ -104,7 +103,16 @@ def between_runs(design: Array, values: Array, variances: Array) -> float:
         return 0.0
     while excess(top) > 0.0 and top < LARGEST_RATIO * float(variances.max()):
         top *= 4.0
+    from scipy.optimize import brentq  # it loads slowly
+
     return float(brentq(excess, 0.0, top)) if excess(top) < 0.0 else top
+
+
+def _special() -> Any:
+    """Its functions; it loads slowly, and `import rig` loads this file."""
+    from scipy import special
+
+    return special
 
 
 def _weighted(design: Array, values: Array, weight: Array) -> tuple[Array, Array]:
@@ -193,7 +201,7 @@ def holm(chances: Sequence[float]) -> list[float]:
 
 def quantile(freedom: float) -> float:
     """97.5 % quantile of Student's distribution; of the normal one for infinite freedom."""
-    return float(stdtrit(min(freedom, 1e9), 0.975))
+    return float(_special().stdtrit(min(freedom, 1e9), 0.975))
 
 
 def chance_of(ratio: float, freedom: float) -> float:
@@ -202,4 +210,4 @@ def chance_of(ratio: float, freedom: float) -> float:
     ratio     of a number to its standard error
     freedom   degrees of freedom of that error; infinite: it is known
     """
-    return float(2.0 * stdtr(min(freedom, 1e9), -abs(ratio)))
+    return float(2.0 * _special().stdtr(min(freedom, 1e9), -abs(ratio)))

@@ -11,7 +11,7 @@ from evidence import evidence
 from servo_bench import PROTOCOLS, Bench
 
 from rig.backends.emulated.line_faults import Direction
-from rig.backends.servo import dynamixel, opening
+from rig.backends.servo import dynamixel
 from rig.core.faults import Fault
 
 Arriving = Sequence[tuple[float, bytes]]
@@ -93,10 +93,9 @@ def spoilt_at(protocol: str, number: int, kind: str, by: float) -> bool:
     *evidence(*((p, kind, by, 1) for p in PROTOCOLS for kind, by in KINDS if p == "feetech" or kind != "wrong")),
 ])  # fmt: skip
 def test_one_packet_that_goes_wrong_anywhere_leaves_nothing_on_and_nothing_changed(
-    protocol: str, kind: str, by: float, step: int, monkeypatch: pytest.MonkeyPatch
+    protocol: str, kind: str, by: float, step: int
 ) -> None:
     """A Dynamixel's wrong answer with the right CRC is one in 65536 of those that are damaged: no promise is made."""
-    monkeypatch.setattr(opening, "LAST_ID", 8)  # to ask nobody takes its time
     for number in range(27 if step > 1 else 1, MOST, step):
         if not spoilt_at(protocol, number, kind, by):
             break

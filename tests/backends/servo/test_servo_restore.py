@@ -12,11 +12,13 @@ import pytest
 from evidence import evidence
 from servo_bench import BYSTANDERS, PROTOCOLS, Bench, Keeper, addressed
 
+from rig.backends.servo import opening
 from rig.backends.servo.before import BeforeStore, order_of, values_of
 from rig.backends.servo.bus import Ask, ServoLink
 from rig.backends.servo.facts import facts
 from rig.backends.servo.line import servo_of
 from rig.backends.servo.link_budget import longest_return_delay_s
+from rig.backends.servo.packets import LAST_ID
 from rig.backends.servo.scan import restore
 from rig.core.faults import Fault
 
@@ -173,9 +175,12 @@ def test_a_run_that_is_killed_anywhere_is_put_right_by_the_next(protocol: str, s
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_an_opening_that_puts_back_asks_no_id_more_often_than_another(protocol: str) -> None:
+def test_an_opening_that_puts_back_asks_no_id_more_often_than_another(
+    protocol: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """To ask all of them takes seconds."""
-    bench, absent, pings = Bench(protocol), 9, list[int]()
+    monkeypatch.setattr(opening, "LAST_ID", LAST_ID)
+    bench, absent, pings = Bench(protocol), LAST_ID, list[int]()
     asks = bench.driver._bus.ping(absent).data
     for _ in range(2):
         written: list[bytes] = []

@@ -15,6 +15,8 @@ from rig.backends.registers.map import RegisterSpan
 from rig.backends.servo.dynamixel import Instruction
 from rig.backends.servo.steps import STEP_S
 
+pytestmark = pytest.mark.every_id  # its bounds hold where the servo's milliseconds lie so
+
 WINDOW_S = 0.0045  # around a drive's time: within it the ramp of the fastest slope is over
 LARGEST_MEAN_S = 1e-4
 LEAST_CHANGE_V = 0.3
