@@ -57,7 +57,6 @@ _STAMPED_S: Final = 0.004  # before now a duty was told, at most: the servo's st
 _LATE_S: Final = 0.002  # from here on an answer is later than the quickest one, and than its adapter makes it
 _WAYS: Final = 8  # drives within that time, at most
 _GOLDEN: Final = 0.5 * (math.sqrt(5.0) - 1.0)  # its multiples are spread evenly over a step
-_REACTS: Final = 6  # answers of the three ticks in which a loop reacts
 _STAGGERED: Final = 24  # readings that find where within its step the servo is
 _TICK_SLACK_S: Final = 0.1  # by which the servo's clock may differ from the host's between two readings
 _ERROR_FAULTS: Final = {
@@ -153,8 +152,6 @@ class ServoDriver(RegisterDriver[Ask]):
         self._late_s = _LATE_S + setup.adapter_s
         self._glance = RegisterSpan(tuple(r for r in self._map.read.registers if r.name in ("applied", "tick")))
         self._before_s = math.nan  # when the drive before the last one acted
-        self._wait_s = 0.0  # without a watchdog: for how long an answer may leave the last drive alone
-        self._waited_s = deque([0.0] * _REACTS, maxlen=_REACTS)  # of that by the last answers that were late
 
     # ------------------------------------------------------------------ requests
 
@@ -244,9 +241,8 @@ class ServoDriver(RegisterDriver[Ask]):
             raise Fault("SERVO_SWITCH_UNTRIED", self._setup.supply_switch)
         self._tick = self._tick_s = math.nan
         self._strange = self._bad = self._doubted = 0
+        self._lost_reply_s = min(self._setup.longest_wait_s, limits.watchdog_s)
         super().arm(limits)
-        self._waited_s.extend([0.0] * _REACTS)
-        self._wait_s = min(self._setup.longest_wait_s, limits.watchdog_s) if self.failsafe is None else 0.0
         self._find_steps()
         self._ways.clear()
         self._steady_s = self._transport.now_s()
@@ -440,26 +436,6 @@ class ServoDriver(RegisterDriver[Ask]):
         if held != self._map.arm:
             raise Fault("ARM_READBACK", f"{control}: sent {self._map.arm}, stored {held:g}")
 
-    @override
-    def _exchange(self, request: Ask, idle_s: float = 0.0) -> Reply:
-        """Without a watchdog all late answers while a loop reacts have, together, the one wait that preflight counts.
-
-        Each may be late, if only the sum is kept: three in a row, as after a host that stood still, end nothing.
-        """
-        if self._wait_s <= self._timeout_s:
-            return super()._exchange(request, idle_s)
-        self._late_in_a_row, self._acts_s = 0, self._wait_s - sum(self._waited_s)
-        reply = super()._exchange(request, idle_s)
-        self._waited_s.append(reply.round_trip_s if reply.round_trip_s > self._timeout_s else 0.0)
-        if (waited_s := sum(self._waited_s)) > self._wait_s:
-            words = (
-                f"the late ones of the last {_REACTS} replies took {1e3 * waited_s:.0f} ms, of {1e3 * self._wait_s:g}"
-            )
-            late = Fault("LINK_TIMEOUT", words)
-            self._explain(late)
-            raise late
-        return reply
-
     # ------------------------------------------------------------------ stopping
 
     @property
@@ -630,13 +606,17 @@ class ServoDriver(RegisterDriver[Ask]):
         if self._guardian is not None:
             self._guardian.waits()
         try:
-            reply = self._client.asked(self._reading(self._glance), self._timeout_s, in_tick=True)
+            waits_s = min(self._timeout_s, self._waits.left_s)
+            reply = self._client.asked(self._reading(self._glance), waits_s, in_tick=True)
             values = self._glance.values(self._cells(reply))
         except Fault as fault:
-            if fault.code not in ("LINK_TIMEOUT", "LINK_REPLY"):
+            lost_s = LATE_TIMEOUTS * self._timeout_s
+            if fault.code not in ("LINK_TIMEOUT", "LINK_REPLY") or lost_s > self._waits.left_s:
                 raise
+            self._waits.take(lost_s)
             self._client.wait(self._timeout_s)
             return
+        self._waits.take(reply.round_trip_s)
         at_s, applied = self._step_of(values["tick"], reply) + STEP_S, values["applied"]  # it may be one step ahead
         if abs(applied - self._ways[-1].end) <= _STEPS_OFF:
             return
