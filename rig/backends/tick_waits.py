@@ -11,6 +11,8 @@ from typing import Final
 
 REACTS_TICKS: Final = 3  # that a loop needs: one until it reads the motion, two by which its velocity lags
 
+_READINGS: Final = 2  # of a tick: another one where the host stood still
+
 
 class TickWaits:
     """What the exchanges of the latest ticks took, and what the next one may take.
@@ -24,7 +26,7 @@ class TickWaits:
         self.longest_s = 0.0
         self._late_s = late_s
         self._before = deque([0.0] * ticks, maxlen=ticks)
-        self._this_s = 0.0
+        self._this_s, self._readings = 0.0, 0
 
     def restart(self, longest_s: float) -> None:
         """The loop begins: no tick was late."""
@@ -36,6 +38,12 @@ class TickWaits:
         """For how long the next exchange may wait, s."""
         return self.longest_s - sum(self._before) - self._this_s
 
+    def read(self) -> None:
+        """A reading begins. A tick has two at most: who reads on and drives nothing has other ticks."""
+        self._readings += 1
+        if self._readings > _READINGS:
+            self.next_tick()
+
     def take(self, took_s: float) -> None:
         """An exchange of this tick took so long."""
         self._this_s += took_s
@@ -43,4 +51,4 @@ class TickWaits:
     def next_tick(self) -> None:
         """The drive of this tick is out."""
         self._before.append(self._this_s if self._this_s > self._late_s else 0.0)
-        self._this_s = 0.0
+        self._this_s, self._readings = 0.0, 0

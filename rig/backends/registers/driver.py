@@ -227,6 +227,7 @@ class RegisterDriver(ABC, Generic[Req]):
         Raises Fault LINK_TIMEOUT, LINK_REPLY, LINK_UNIT, LINK_LOST, DEVICE_RESET, the device's refusal, or the fault
         that its status names.
         """
+        self._waits.read()
         reply = self._tick_reading() if self._armed else self._unhurried_reading()
         self._sampled_s = reply.executed_s
         values = self._values(self._read_span, reply)

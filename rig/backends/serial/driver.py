@@ -416,6 +416,7 @@ class SerialDriver:
         waits for as long as the device's watchdog lets the last drive act. Raises Fault LINK_TIMEOUT without an answer,
         and when three readings in a row had to be repeated.
         """
+        self._waits.read()
         seqs = [self._exchange.send(Kind.READ)]
         sent_s = self._exchange.now_s()  # a host that stood still may have sent it late
         ends_s = self._ends_s(sent_s)
