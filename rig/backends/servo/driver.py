@@ -652,9 +652,14 @@ class ServoDriver(RegisterDriver[Ask]):
             raise Fault("SECOND_MASTER" if self._is_off else "STOP_UNCONFIRMED", words)
         self._check_health(values)
 
+    @property
+    def _asking(self) -> ServoLink:
+        """Registers that tell what a reading means: within a tick no longer than that may wait, while a drive acts."""
+        return self._link.asking(lambda ask, _: self._exchange(ask)) if self._armed else self._link
+
     def _check_torque(self) -> None:
         """A servo whose torque is off has restarted. One with a lock has lost its mode, too: no duty may follow."""
-        if self._link.value(self._setup.model.roles["torque"]) != 0:
+        if self._asking.value(self._setup.model.roles["torque"]) != 0:
             return  # that reading was damaged
         if self._keeper_acted:
             raise stopped_by_keeper()
@@ -674,9 +679,9 @@ class ServoDriver(RegisterDriver[Ask]):
             raise Fault("DEVICE_WATCHDOG", words)
         if self._strange < _IN_A_ROW:
             return
-        if self._link.value(self._setup.model.roles["torque"]) == 0:
+        if self._asking.value(self._setup.model.roles["torque"]) == 0:
             raise Fault("DEVICE_RESET", f"{words}: its torque is off")
-        if (other := other_mode(self._link)) is not None:
+        if (other := other_mode(self._asking)) is not None:
             raise Fault("DEVICE_RESET", f"{words}: {other}")
         raise Fault("SERVO_OVERLOAD", f"{words}: it protects itself, or somebody else drives it")
 
@@ -700,7 +705,7 @@ class ServoDriver(RegisterDriver[Ask]):
         said  that byte
         """
         model = self._setup.model
-        errors = self._link.value(model.roles["errors"])
+        errors = self._asking.value(model.roles["errors"])
         self._errors = errors
         self._doubted += 1
         if not errors and self._doubted < _IN_A_ROW:
@@ -722,9 +727,9 @@ class ServoDriver(RegisterDriver[Ask]):
             return fault
         if self._watchdog_has_acted():
             return Fault("DEVICE_WATCHDOG", fault.detail)
-        other = other_mode(self._link)
+        other = other_mode(self._asking)
         return fault if other is None else Fault("DEVICE_RESET", f"{fault.detail}; {other}")
 
     def _watchdog_has_acted(self) -> bool:
         name = self._setup.model.roles.get("watchdog")
-        return name is not None and self._link.value(name) == -1
+        return name is not None and self._asking.value(name) == -1

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import pytest
 from late_bus import LateBus, longest_reaction_s
 from servo_bench import PROTOCOLS, Bench
+from test_servo_faults import alert, protects, torque_off
 
 from rig.backends.servo.line import setup_of
 from rig.config.schema import Experiment
@@ -126,3 +127,26 @@ def test_late_answers_end_a_run_only_where_together_they_take_longer_than_one_ma
         )
     fault = bench.fault_within(12, 1.0)
     assert (fault is not None and fault.code == "LINK_TIMEOUT") if ends else fault is None
+
+
+@pytest.mark.parametrize("happens", [alert, protects, torque_off])
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_question_about_what_a_reading_shows_waits_no_longer_than_its_tick(
+    protocol: str, happens: Callable[[Bench], None]
+) -> None:
+    """The servo answers that it is not well, and nothing more; its last drive acts on meanwhile."""
+    e = experiment(attached="joint", protocol=protocol)
+    bench = bench_of(e, protocol)
+    bench.armed()
+    bench.tick(1.0)
+    bench.tick(1.0)
+    happens(bench)
+    for _ in range(4):
+        begun_s, heard = bench.bus.now_s(), len(bench.bus.bus.log)
+        bench.bus.bus.disturbance = lambda direction, data, _, heard=heard: (
+            [(0.0, data)] if direction == "request" or len(bench.bus.bus.log) == heard + 1 else []
+        )
+        if (fault := bench.fault_within(1, 1.0)) is not None:
+            break
+        bench.bus.bus.disturbance = None
+    assert fault is not None and bench.bus.now_s() - begun_s <= bench.driver._waits.longest_s + SLACK_S
