@@ -242,7 +242,8 @@ class ServoLink:
     ) -> None:
         self.client, self.bus, self.model = client, bus, model
         self.now_s = transport.now_s
-        self._timeout_s, self._asked = timeout_s, client.patiently
+        self._timeout_s = timeout_s
+        self._asked: Callable[[Ask, float], Reply] = client.patiently
         self._pings = BusClient(transport, bus)  # of its own: that nobody answers a ping is no error of the link
 
     @property
