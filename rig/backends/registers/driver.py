@@ -103,7 +103,7 @@ class RegisterDriver(ABC, Generic[Req]):
         self._t_u_s = math.nan
         self._sampled_s = math.nan  # when the position of the last reading was
         self._driven_s = -math.inf  # when the device last executed a drive
-        self._acts_s = 0.0  # for so long its watchdog lets that act; without one it acts on
+        self._acts_s = 0.0  # for so long its watchdog lets that act, or, without one, this driver
         self._lost_reply_s = (
             self._timeout_s
         )  # for so long a drive may act on by what a reply waits, as preflight counts
@@ -215,7 +215,7 @@ class RegisterDriver(ABC, Generic[Req]):
         self._switch_on()
         self._await_armed()
         self._armed = True
-        self._acts_s, watchdog_s = math.inf, 0.0
+        self._acts_s, watchdog_s = self._lost_reply_s, 0.0
         if self.failsafe is not None:
             self._acts_s = watchdog_s = min(self.failsafe.time_s, LONGEST_WATCHDOG_S)
         self._waits.restart(self._lost_reply_s + watchdog_s)
