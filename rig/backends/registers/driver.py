@@ -539,7 +539,9 @@ class RegisterDriver(ABC, Generic[Req]):
         if took_s <= left_s:
             self._waits.take(took_s)
         elif self.failsafe is None:  # it was this process that was late: nothing else bounds that
-            late = f"what was late took longer than the {1e3 * self._waits.longest_s:g} ms that there is room for"
+            late = (
+                f"late replies took more than {1e3 * self._waits.longest_s:g} ms together, all that `rig check` counts"
+            )
         if self._late_in_a_row >= _LATE_REPLIES and self.failsafe is not None:
             late = f"{_LATE_REPLIES} replies in a row took longer than daq.timeout_s, {1e3 * self._timeout_s:g} ms"
         if late:
