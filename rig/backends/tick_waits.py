@@ -6,11 +6,13 @@ but by no more than they took. So what late ticks take, and what the last one do
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import Final
 
 REACTS_TICKS: Final = 3  # that a loop needs: one until it reads the motion, two by which its velocity lags
 
+_OVERHEAD: Final = 0.02  # of a period, that the loop takes besides
 _READINGS: Final = 2  # of a tick: another one where the host stood still
 
 
@@ -18,13 +20,14 @@ class TickWaits:
     """What the exchanges of the latest ticks took, and what the next one may take.
 
     ticks      ahead of the current one in which a loop reacts
-    late_s     a tick of a loop whose exchanges took no longer, makes none later
+    period_s   of the loop; 0: not known, and all that a tick takes counts
+    late_s     a tick whose exchanges took no longer makes none later
     longest_s  what late ticks and the current one may take together
     """
 
-    def __init__(self, ticks: int, late_s: float) -> None:
+    def __init__(self, ticks: int, late_s: float, period_s: float = 0.0) -> None:
         self.longest_s = 0.0
-        self._late_s = late_s
+        self._late_s, self._period_s = late_s, period_s
         self._before = deque([0.0] * ticks, maxlen=ticks)
         self._this_s, self._readings = 0.0, 0
 
@@ -50,5 +53,8 @@ class TickWaits:
 
     def next_tick(self) -> None:
         """The drive of this tick is out."""
-        self._before.append(self._this_s if self._this_s > self._late_s else 0.0)
+        later_s = self._this_s if self._this_s > self._late_s else 0.0
+        if self._period_s > 0.0:
+            later_s = self._period_s * math.floor(self._this_s / self._period_s + _OVERHEAD)
+        self._before.append(later_s)
         self._this_s, self._readings = 0.0, 0

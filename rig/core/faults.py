@@ -55,7 +55,7 @@ FAULTS: dict[str, FaultEntry] = {
         {
             "modbus": "On a Modbus device check daq.modbus.unit and daq.modbus.parity, too",
             "servo": "Of a servo check daq.servo.id, too: `rig servo scan` shows who answers, and at which baud. One "
-            "without watchdog may be late for daq.watchdog_s, 0.1 s at most: `rig check` says whether there is room for more",
+            "without watchdog may be late for daq.watchdog_s, 0.1 s at most: `rig check` says whether there is room",
         },
     ),
     "LINK_REPLY": FaultEntry(

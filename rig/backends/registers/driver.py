@@ -107,7 +107,7 @@ class RegisterDriver(ABC, Generic[Req]):
         self._lost_reply_s = (
             self._timeout_s
         )  # for so long a drive may act on by what a reply waits, as preflight counts
-        self._waits = TickWaits(REACTS_TICKS, self._timeout_s)
+        self._waits = TickWaits(REACTS_TICKS, self._timeout_s, timeouts.period_s)
         self._beyond = {True: _Beyond(), False: _Beyond()}  # of readings, of drives
 
     @property

@@ -241,7 +241,7 @@ def _as_left(link: ServoLink, values: Mapping[str, int], sets: Sets, store: Befo
         return {drive: 0} if values.get(drive) == 0 else {}  # of a servo of PWM mode rig's duty shows nowhere else
     mode = model.roles["mode"]
     # who has changed the mode back has set these anew, and what they hold is that one's
-    is_back = mode in sets and not is_end and held[mode] == values[mode]
+    is_back = mode in sets and not is_end and held[mode] == values[mode] not in sets[mode]
     theirs = _RESET_BY_MODE if is_back else ()
     return {
         name: value
