@@ -154,10 +154,12 @@ class Timeouts(NamedTuple):
 
     reply_s  longest wait for one reply, s
     open_s   longest wait for the device to introduce itself, its restart on opening included, s
+    period_s of the loop; 0: not known
     """
 
     reply_s: float = 0.03
     open_s: float = 5.0
+    period_s: float = 0.0
 
 
 class DeviceWatchdog(NamedTuple):

@@ -132,7 +132,7 @@ def restore(port: str, id: int, baud: int) -> None:
     if values is None:
         click.echo(f"nothing to put back: there is no {store.path}")
     elif not values:
-        click.echo("nothing was written: no register holds what the run set")
+        click.echo(f"nothing was written: no register holds what the run set; its values are in {store.aside_path}")
     else:
         click.echo(f"put back: {', '.join(f'{name} {value}' for name, value in values.items())}")
 

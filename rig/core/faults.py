@@ -54,7 +54,8 @@ FAULTS: dict[str, FaultEntry] = {
         "real time shares this machine; where it is busy, leave `-realtime` out of daq.port: virtual time waits for it",
         {
             "modbus": "On a Modbus device check daq.modbus.unit and daq.modbus.parity, too",
-            "servo": "Of a servo check daq.servo.id, too: `rig servo scan` shows who answers, and at which baud",
+            "servo": "Of a servo check daq.servo.id, too: `rig servo scan` shows who answers, and at which baud. One "
+            "without watchdog may be late for daq.watchdog_s, 0.1 s at most: `rig check` says whether there is room",
         },
     ),
     "LINK_REPLY": FaultEntry(

@@ -28,6 +28,7 @@ from rig.backends.modbus.requests import (
 from rig.backends.registers.bus import BusClient, Reply
 from rig.backends.registers.driver import RegisterDriver
 from rig.backends.registers.map import OFF, Register, RegisterSpan
+from rig.backends.tick_waits import REACTS_TICKS, TickWaits
 from rig.core.calibration import Scaling
 from rig.core.faults import Fault
 from rig.core.signals import Limits, Order
@@ -71,6 +72,7 @@ class ModbusDriver(RegisterDriver[Request]):
         if self.failsafe is None and registers.device_watchdog_s is not None:
             self.failsafe = DeviceWatchdog(registers.device_watchdog_s)
         self._line = line
+        self._waits = TickWaits(REACTS_TICKS + self._writes_in_reading, timeouts.reply_s)
         self._sequence = 0  # as last written with a drive; its echo must be this
         self._echo: float | None = None  # as last read since it was armed, or since the stop after that
         self._fresh = False  # the drive has not gone out yet

@@ -153,14 +153,12 @@ class BusClient(Generic[Req]):
             self.wait((LATE_TIMEOUTS - 1) * timeout_s)
         return self.asked(request, timeout_s)
 
-    def asked(
-        self, request: Req, timeout_s: float, *, in_tick: bool = False, until_s: float = -math.inf, idle_s: float = 0.0
-    ) -> Reply:
+    def asked(self, request: Req, timeout_s: float, *, in_tick: bool = False, idle_s: float = 0.0) -> Reply:
         """The reply to a request.
 
         in_tick  anything but the reply is a fault, bytes before the request that nobody asked for are one, and what
-                 follows on the line is suspect; else what is not the reply is thrown away, until the time is over
-        until_s  it may come until then, too, however short ``timeout_s`` is
+                 follows on the line is suspect; the silence before it is a part of ``timeout_s``. Else what is not the
+                 reply is thrown away, until the time is over
         idle_s   for so long nothing is asked
         Raises Fault LINK_TIMEOUT, LINK_REPLY, LINK_UNIT, LINK_LOST, or the device's refusal.
 
@@ -169,8 +167,6 @@ class BusClient(Generic[Req]):
         """
         transport, protocol, now_s = self._transport, self._protocol, self._transport.now_s
         from_s = now_s()
-        if until_s - from_s > timeout_s:
-            timeout_s = until_s - from_s
         data = b""
         try:
             if idle_s > 0.0 or from_s < self._quiet_until_s or (data := transport.read(0.0)):
@@ -179,7 +175,9 @@ class BusClient(Generic[Req]):
                     raise self.misfit(
                         f"{unasked} bytes that nobody asked for: another master, or two answers to one request"
                     )
-                data, from_s = b"", now_s()
+                data, begun_s, from_s = b"", from_s, now_s()
+                if in_tick:
+                    timeout_s -= from_s - begun_s
             asked = protocol.encode(request)
             transport.write(asked)
             by_s = now_s()  # it left between these two
@@ -244,7 +242,7 @@ class BusClient(Generic[Req]):
             if data:
                 raise self.misfit(f"asked for {about}: {len(data)} bytes that are no whole reply, {data[:24].hex(' ')}")
             raise objection or Fault(
-                "LINK_TIMEOUT", f"no reply from {protocol.name} within {timeout_s * 1e3:g} ms, asked for {about}"
+                "LINK_TIMEOUT", f"no reply from {protocol.name} within {timeout_s * 1e3:.3g} ms, asked for {about}"
             )
         except Fault:
             self.is_suspect = self.is_suspect or in_tick

@@ -32,6 +32,7 @@ from rig.backends.serial.fit import PLAIN_BOARD, Board, Expected, check_fit, mea
 from rig.backends.serial.frames import Code, DeviceState, Hello, Kind, Packet, RelaySetup, Setup, StrokesSetup
 from rig.backends.serial.introduction import refusal
 from rig.backends.serial.law_run import LawRun
+from rig.backends.tick_waits import REACTS_TICKS, TickWaits
 from rig.core.calibration import (
     ALL_COUNTS,
     Calibration,
@@ -193,6 +194,7 @@ class SerialDriver:
         self._setup: Setup | None = None  # that the device has confirmed
         self._armed = False
         self._heard_s = -math.inf  # when the device was last told a drive, at the earliest
+        self._waits = TickWaits(REACTS_TICKS, 0.0)  # a time-out may be longer than a period
         self._unconfirmed: int | None = None  # seq of a DRIVE frame that no STATE has told of yet
         self._driven = False  # the device has accepted a DRIVE since arming
         self._t_drive_us = -1  # as last reported, and the same in host time: an old drive is mapped once
@@ -326,6 +328,7 @@ class SerialDriver:
         if code != Code.NONE:
             raise Fault(_FAULT_OF_CODE.get(code, "LINK_REJECTED"), f"arming refused, {frames.code_name(code)}")
         self.failsafe = DeviceWatchdog(1e-3 * setup.watchdog_ms)
+        self._waits.restart(self._timeout_s + self.failsafe.time_s)
         self._unconfirmed = None
         self._pulse = self._ended = None
         self._lost_in_a_row = 0
@@ -413,6 +416,7 @@ class SerialDriver:
         waits for as long as the device's watchdog lets the last drive act. Raises Fault LINK_TIMEOUT without an answer,
         and when three readings in a row had to be repeated.
         """
+        self._waits.read()
         seqs = [self._exchange.send(Kind.READ)]
         sent_s = self._exchange.now_s()  # a host that stood still may have sent it late
         ends_s = self._ends_s(sent_s)
@@ -421,6 +425,8 @@ class SerialDriver:
             damage_ends = len(seqs) < _READS_AT_ONCE
             packet = self._exchange.wait(seqs, Kind.STATE, min(until_s, ends_s), damage_ends=damage_ends)
             if packet is not None:
+                if (took_s := self._exchange.now_s() - sent_s) <= self._waits.left_s:  # else this process stood still
+                    self._waits.take(took_s)
                 self._again_in_a_row = 0 if len(seqs) == 1 else self._again_in_a_row + 1
                 if self._again_in_a_row < _READ_AGAIN:
                     return packet
@@ -438,10 +444,14 @@ class SerialDriver:
         raise self._exchange.silence(Kind.READ, f"no reply to {len(seqs)} READ within {1e3 * (ends_s - sent_s):.0f} ms")
 
     def _ends_s(self, sent_s: float) -> float:
-        """Until when a tick waits for the answer to what it sent then, s: the watchdog bounds the drive meanwhile."""
+        """Until when a tick waits for the answer to what it sent then, s: the watchdog bounds the drive meanwhile.
+
+        All ticks in which a loop reacts wait together for as long as preflight counts.
+        """
         if not self._armed or self._setup is None:
             return sent_s + self._timeout_s
-        return max(sent_s + self._timeout_s, self._heard_s + 1e-3 * self._setup.watchdog_ms)
+        watchdog_s = self._heard_s + 1e-3 * self._setup.watchdog_ms
+        return min(max(sent_s + self._timeout_s, watchdog_s), sent_s + self._waits.left_s)
 
     def write(self, u_V: float) -> None:
         """Send the drive; there is no reply. Raises ValueError beyond supply and bridge, Fault LINK_LOST.
@@ -471,6 +481,7 @@ class SerialDriver:
         if self._ended is not None:
             self._t_u_s, self._ended = self._ended.t_s, None
         self._heard_s = self._exchange.now_s()
+        self._waits.next_tick()
         self._unconfirmed = self._exchange.send(kind, body)
 
     def safe_stop(self) -> bool:

@@ -12,6 +12,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 from rig.backends.links.usb_port import usb_port
@@ -46,6 +47,7 @@ _CHANGED: Final = {
 
 
 Sets = Mapping[str, Sequence[int]]  # what rig may set a register to
+_NOTHING: Final[Sets] = MappingProxyType({})
 
 
 class BeforeStore:
@@ -57,7 +59,7 @@ class BeforeStore:
     def __init__(self, path: Path | None = None) -> None:
         self.path = path
         self._values: dict[str, int] | None = None
-        self._sets: Sets | None = None
+        self._sets = _NOTHING
 
     @property
     def note_path(self) -> Path | None:
@@ -65,7 +67,7 @@ class BeforeStore:
         return None if self.path is None else self.path.with_suffix(".txt")
 
     @property
-    def own(self) -> tuple[dict[str, int] | None, Sets | None]:
+    def own(self) -> tuple[dict[str, int] | None, Sets]:
         """What this process has kept, whatever became of the file: another run may think it its own."""
         return self._values, self._sets
 
@@ -88,8 +90,8 @@ class BeforeStore:
         """The values of before that an earlier run has left, as ``read``."""
         return self.read(model)[0]
 
-    def read(self, model: ServoModel) -> tuple[dict[str, int] | None, Sets | None]:
-        """The values of before, None where none are left; and what rig sets, None where the file does not tell.
+    def read(self, model: ServoModel) -> tuple[dict[str, int] | None, Sets]:
+        """The values of before, None where none are left; and what rig sets.
 
         Raises Fault SERVO_CHANGED for a damaged file, and for one of another model.
         """
@@ -104,9 +106,7 @@ class BeforeStore:
         try:
             found: Any = strict_json.parse(content.decode("utf-8"))
             whose, registers = found["model"], {str(name): int(value) for name, value in found["registers"].items()}
-            sets = found.get("set")
-            if sets is not None:
-                sets = {name: [int(value) for value in sets[name]] for name in registers if name in sets}
+            sets = {name: [int(value) for value in found["set"][name]] for name in registers if name in found["set"]}
             for name, value in registers.items():
                 if whose == model.name and model.has(name):
                     model[name].pack(value)  # one that it cannot hold would stop the putting back half-way
@@ -117,10 +117,10 @@ class BeforeStore:
             raise Fault("SERVO_CHANGED", f"{self.path} is of {whose}{f', with {foreign[0]}' if foreign else ''}")
         return registers, sets
 
-    def save(self, model: ServoModel, id: int, values: Mapping[str, int], sets: Sets | None = None) -> None:
+    def save(self, model: ServoModel, id: int, values: Mapping[str, int], sets: Sets = _NOTHING) -> None:
         """Keep the values, on the disk when this returns. Raises Fault SERVO_CHANGED: then nothing may be written.
 
-        sets  what rig sets those registers to whose value it knows beforehand; None: each may hold anything
+        sets  what rig sets those registers to whose value it knows beforehand
         """
         self._values, self._sets = dict(values), sets
         if self.path is None:
@@ -129,17 +129,28 @@ class BeforeStore:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with fresh.open("w", encoding="utf-8") as file:
-                told = {} if sets is None else {"set": sets}
-                json.dump({"model": model.name, "id": id, "registers": self._values, **told}, file)
+                json.dump({"model": model.name, "id": id, "registers": self._values, "set": dict(sets)}, file)
                 file.flush()
                 os.fsync(file.fileno())
             fresh.replace(self.path)
         except OSError as error:
             raise Fault("SERVO_CHANGED", f"{self.path}: {error.strerror}: what to put back would be lost") from error
 
+    @property
+    def aside_path(self) -> Path | None:
+        """Where the values stay that were of another servo, as it seems: nobody reads them there."""
+        return None if self.path is None else self.path.with_suffix(".aside.json")
+
+    def set_aside(self) -> None:
+        """Of a servo that shows nothing of the run that left the values: another one may have to get them back."""
+        if self.path is not None and self.aside_path is not None:
+            with contextlib.suppress(OSError):
+                self.path.replace(self.aside_path)
+        self.clear()
+
     def clear(self) -> None:
         """The servo holds them again."""
-        self._values = self._sets = None
+        self._values, self._sets = None, _NOTHING
         if self.path is not None:
             with contextlib.suppress(OSError):
                 self.path.unlink(missing_ok=True)
@@ -186,8 +197,8 @@ def put_back(link: ServoLink, store: BeforeStore, *, is_left: bool = False) -> d
     model, roles = link.model, link.model.roles
     values, sets = store.read(model) if is_left else store.own
     values = values or {}
-    if is_left and sets is not None and not (values := _as_left(link, values, sets, store)):
-        store.clear()
+    if is_left and not (values := _as_left(link, values, sets, store)):
+        store.set_aside()
         return {}
     link.put(roles["torque"], 0)
     if "watchdog" in roles:
@@ -196,11 +207,14 @@ def put_back(link: ServoLink, store: BeforeStore, *, is_left: bool = False) -> d
     mode = names.index(roles["mode"]) if roles["mode"] in names else 0
     for part in (names[:mode], names[mode:]):
         if mode and part[-1] in _RESET_BY_MODE:  # once the mode is back nothing tells that rig has changed these
-            store.save(model, link.bus.id, values, None if sets is None else {names[mode]: sets.get(names[mode], ())})
+            store.save(model, link.bus.id, values, {names[mode]: sets.get(names[mode], ())})
         for name in part + part:  # a wrong answer may have said that one holds its value already
             link.hold(name, values[name])
     link.put(roles["torque"], 0)  # on some servos writing a goal switches it on
-    store.clear()
+    if is_left and values.keys() == {roles["drive"]}:
+        store.set_aside()
+    else:
+        store.clear()
     return values
 
 
@@ -225,7 +239,15 @@ def _as_left(link: ServoLink, values: Mapping[str, int], sets: Sets, store: Befo
     is_end = sets.keys() == {model.roles["mode"]}  # all but that is back
     if not is_end and not any(held[name] != values[name] and held[name] in ours[name] for name in sets):
         return {drive: 0} if values.get(drive) == 0 else {}  # of a servo of PWM mode rig's duty shows nowhere else
-    return {name: value for name, value in values.items() if name not in sets or held[name] in ours[name]}
+    mode = model.roles["mode"]
+    # who has changed the mode back has set these anew, and what they hold is that one's
+    is_back = mode in sets and not is_end and held[mode] == values[mode] not in sets[mode]
+    theirs = _RESET_BY_MODE if is_back else ()
+    return {
+        name: value
+        for name, value in values.items()
+        if name not in theirs and (name not in sets or held[name] in ours[name])
+    }
 
 
 def order_of(link: ServoLink, values: Mapping[str, int]) -> list[Ask]:

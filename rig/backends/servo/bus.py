@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeVar
 from typing_extensions import override
 
 from rig.backends.driver import Transport
-from rig.backends.registers.bus import ATTEMPTS, BusClient, Damaged, Protocol
+from rig.backends.registers.bus import ATTEMPTS, BusClient, Damaged, Protocol, Reply
 from rig.backends.servo import dynamixel, feetech
 from rig.backends.servo.link_budget import BITS_PER_BYTE, TURNAROUND_S
 from rig.backends.servo.models import ServoModel
@@ -242,7 +242,8 @@ class ServoLink:
     ) -> None:
         self.client, self.bus, self.model = client, bus, model
         self.now_s = transport.now_s
-        self._timeout_s, self._asked = timeout_s, client.patiently
+        self._timeout_s = timeout_s
+        self._asked: Callable[[Ask, float], Reply] = client.patiently
         self._pings = BusClient(transport, bus)  # of its own: that nobody answers a ping is no error of the link
 
     @property
@@ -250,13 +251,18 @@ class ServoLink:
         """Bytes so far that were no awaited answer."""
         return self._pings.statistics["stale_bytes"] + self.client.statistics["stale_bytes"]
 
+    def asking(self, asked: Callable[[Ask, float], Reply]) -> ServoLink:
+        """The same registers, asked for in another way: one that is not patient."""
+        one = copy(self)
+        one._asked = asked
+        return one
+
     def in_one_go(self, do: Callable[[ServoLink], None]) -> None:
         """Do this where each answer comes at once; else all of it anew, three times at most.
 
         A servo that starts anew is silent meanwhile: so what it has told before still holds.
         """
-        one = copy(self)
-        one._asked = self.client.asked
+        one = self.asking(self.client.asked)
         for left in reversed(range(ATTEMPTS)):
             try:
                 do(one)

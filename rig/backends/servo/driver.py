@@ -57,7 +57,6 @@ _STAMPED_S: Final = 0.004  # before now a duty was told, at most: the servo's st
 _LATE_S: Final = 0.002  # from here on an answer is later than the quickest one, and than its adapter makes it
 _WAYS: Final = 8  # drives within that time, at most
 _GOLDEN: Final = 0.5 * (math.sqrt(5.0) - 1.0)  # its multiples are spread evenly over a step
-_REACTS: Final = 6  # answers of the three ticks in which a loop reacts
 _STAGGERED: Final = 24  # readings that find where within its step the servo is
 _TICK_SLACK_S: Final = 0.1  # by which the servo's clock may differ from the host's between two readings
 _ERROR_FAULTS: Final = {
@@ -153,8 +152,6 @@ class ServoDriver(RegisterDriver[Ask]):
         self._late_s = _LATE_S + setup.adapter_s
         self._glance = RegisterSpan(tuple(r for r in self._map.read.registers if r.name in ("applied", "tick")))
         self._before_s = math.nan  # when the drive before the last one acted
-        self._wait_s = 0.0  # without a watchdog: for how long an answer may leave the last drive alone
-        self._waited_s = deque([0.0] * _REACTS, maxlen=_REACTS)  # of that by the last answers that were late
 
     # ------------------------------------------------------------------ requests
 
@@ -244,9 +241,8 @@ class ServoDriver(RegisterDriver[Ask]):
             raise Fault("SERVO_SWITCH_UNTRIED", self._setup.supply_switch)
         self._tick = self._tick_s = math.nan
         self._strange = self._bad = self._doubted = 0
+        self._lost_reply_s = min(self._setup.longest_wait_s, limits.watchdog_s)
         super().arm(limits)
-        self._waited_s.extend([0.0] * _REACTS)
-        self._wait_s = min(self._setup.longest_wait_s, limits.watchdog_s) if self.failsafe is None else 0.0
         self._find_steps()
         self._ways.clear()
         self._steady_s = self._transport.now_s()
@@ -268,6 +264,7 @@ class ServoDriver(RegisterDriver[Ask]):
         if not self._steps.is_known:
             self._dithered = (self._dithered + _GOLDEN) % 1.0
             idle_s = self._dithered * STEP_S
+        self._waits.read()
         reply = self._exchange(self._sampling, idle_s)
         if reply.pdu[0] or self._doubted:
             self._check_alert(reply)
@@ -440,26 +437,6 @@ class ServoDriver(RegisterDriver[Ask]):
         if held != self._map.arm:
             raise Fault("ARM_READBACK", f"{control}: sent {self._map.arm}, stored {held:g}")
 
-    @override
-    def _exchange(self, request: Ask, idle_s: float = 0.0) -> Reply:
-        """Without a watchdog all late answers while a loop reacts have, together, the one wait that preflight counts.
-
-        Each may be late, if only the sum is kept: three in a row, as after a host that stood still, end nothing.
-        """
-        if self._wait_s <= self._timeout_s:
-            return super()._exchange(request, idle_s)
-        self._late_in_a_row, self._acts_s = 0, self._wait_s - sum(self._waited_s)
-        reply = super()._exchange(request, idle_s)
-        self._waited_s.append(reply.round_trip_s if reply.round_trip_s > self._timeout_s else 0.0)
-        if (waited_s := sum(self._waited_s)) > self._wait_s:
-            words = (
-                f"the late ones of the last {_REACTS} replies took {1e3 * waited_s:.0f} ms, of {1e3 * self._wait_s:g}"
-            )
-            late = Fault("LINK_TIMEOUT", words)
-            self._explain(late)
-            raise late
-        return reply
-
     # ------------------------------------------------------------------ stopping
 
     @property
@@ -630,13 +607,17 @@ class ServoDriver(RegisterDriver[Ask]):
         if self._guardian is not None:
             self._guardian.waits()
         try:
-            reply = self._client.asked(self._reading(self._glance), self._timeout_s, in_tick=True)
+            waits_s = min(self._timeout_s, self._waits.left_s)
+            reply = self._client.asked(self._reading(self._glance), waits_s, in_tick=True)
             values = self._glance.values(self._cells(reply))
         except Fault as fault:
-            if fault.code not in ("LINK_TIMEOUT", "LINK_REPLY"):
+            lost_s = LATE_TIMEOUTS * self._timeout_s
+            if fault.code not in ("LINK_TIMEOUT", "LINK_REPLY") or lost_s > self._waits.left_s:
                 raise
+            self._waits.take(lost_s)
             self._client.wait(self._timeout_s)
             return
+        self._waits.take(reply.round_trip_s)
         at_s, applied = self._step_of(values["tick"], reply) + STEP_S, values["applied"]  # it may be one step ahead
         if abs(applied - self._ways[-1].end) <= _STEPS_OFF:
             return
@@ -671,9 +652,14 @@ class ServoDriver(RegisterDriver[Ask]):
             raise Fault("SECOND_MASTER" if self._is_off else "STOP_UNCONFIRMED", words)
         self._check_health(values)
 
+    @property
+    def _asking(self) -> ServoLink:
+        """Registers that tell what a reading means: within a tick no longer than that may wait, while a drive acts."""
+        return self._link.asking(lambda ask, _: self._exchange(ask)) if self._armed else self._link
+
     def _check_torque(self) -> None:
         """A servo whose torque is off has restarted. One with a lock has lost its mode, too: no duty may follow."""
-        if self._link.value(self._setup.model.roles["torque"]) != 0:
+        if self._asking.value(self._setup.model.roles["torque"]) != 0:
             return  # that reading was damaged
         if self._keeper_acted:
             raise stopped_by_keeper()
@@ -693,9 +679,9 @@ class ServoDriver(RegisterDriver[Ask]):
             raise Fault("DEVICE_WATCHDOG", words)
         if self._strange < _IN_A_ROW:
             return
-        if self._link.value(self._setup.model.roles["torque"]) == 0:
+        if self._asking.value(self._setup.model.roles["torque"]) == 0:
             raise Fault("DEVICE_RESET", f"{words}: its torque is off")
-        if (other := other_mode(self._link)) is not None:
+        if (other := other_mode(self._asking)) is not None:
             raise Fault("DEVICE_RESET", f"{words}: {other}")
         raise Fault("SERVO_OVERLOAD", f"{words}: it protects itself, or somebody else drives it")
 
@@ -719,7 +705,7 @@ class ServoDriver(RegisterDriver[Ask]):
         said  that byte
         """
         model = self._setup.model
-        errors = self._link.value(model.roles["errors"])
+        errors = self._asking.value(model.roles["errors"])
         self._errors = errors
         self._doubted += 1
         if not errors and self._doubted < _IN_A_ROW:
@@ -741,9 +727,9 @@ class ServoDriver(RegisterDriver[Ask]):
             return fault
         if self._watchdog_has_acted():
             return Fault("DEVICE_WATCHDOG", fault.detail)
-        other = other_mode(self._link)
+        other = other_mode(self._asking)
         return fault if other is None else Fault("DEVICE_RESET", f"{fault.detail}; {other}")
 
     def _watchdog_has_acted(self) -> bool:
         name = self._setup.model.roles.get("watchdog")
-        return name is not None and self._link.value(name) == -1
+        return name is not None and self._asking.value(name) == -1

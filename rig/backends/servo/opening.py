@@ -192,7 +192,9 @@ def leave_no_trace(link: ServoLink, setup: ServoSetup, store: BeforeStore) -> Le
     watchdog = link.model.roles.get("watchdog")
     acted = ("DEVICE_WATCHDOG",) if watchdog is not None and link.value(watchdog) == -1 else ()
     changed = put_back(link, store, is_left=True)
-    done = "rig has done that now" if changed else "nothing of that run is left in them"
+    done = "rig has done that now"
+    if not changed:
+        done = f"nothing of that run is left in them; if it drove another servo, {store.aside_path} has that one's"
     remark = f"an earlier run has ended without putting the servo's registers back: {done}"
     return Left((*remarks, remark), acted, others)
 

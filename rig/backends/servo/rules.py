@@ -33,9 +33,16 @@ def servo_rules(d: DeviceSetup) -> Iterator[Problem]:
     yield from _travel(d, servo)
     if port is None or (port.startswith("emulated") and port not in EMULATED_PORTS):
         return  # its adapter is not known
-    if not tick_budget(d.daq, servo).fits(d.period_s):
+    budget = tick_budget(d.daq, servo)
+    if not budget.fits(d.period_s):
         fitting = [f"daq.baud {baud} fits" for baud in sorted(servo.table.bauds.values()) if _fits(d, servo, baud)]
-        yield tick_budget(d.daq, servo).too_slow("daq.baud", d.period_s, fitting[:1])
+        yield budget.too_slow("daq.baud", d.period_s, fitting[:1])
+    elif longest_wait_s(d, servo) < budget.total_s:
+        yield wrong(
+            "daq.timeout_s",
+            f"{1e3 * d.daq.timeout_s:g} ms is shorter than the exchanges of a tick, {1e3 * budget.total_s:.2f} ms",
+            f"up to {d.period_s:g} seconds",
+        )
 
 
 def has_watchdog(servo: Servo) -> bool:
@@ -55,7 +62,7 @@ def switch_to_try(d: DeviceSetup, servo: Servo) -> str:
 
 
 def longest_wait_s(d: DeviceSetup, servo: Servo) -> float:
-    """The longest wait for one answer in a tick, s. Preflight counts it, and the driver waits no longer.
+    """The longest wait for the answers of a tick, s. Preflight counts it, and the driver waits no longer.
 
     Where nothing in the servo takes its duty away, until its keeper would; but of a joint one time-out: it could meet
     its stop meanwhile.

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 from evidence import evidence
+from late_bus import LateBus, longest_reaction_s
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest
 
 from rig.backends.emulated.line_faults import Corruption, Direction
@@ -29,6 +30,7 @@ from rig.config import load
 from rig.config.schema import Experiment
 from rig.core.faults import Fault
 from rig.core.signals import Sample
+from rig.running.preflight.room_to_stop import reaction_periods, stopping_rad
 
 CONFIG = Path(__file__).resolve().parents[3] / "config" / "modbus-rtu.yaml"
 STYLES = ["read-write", "separate"]
@@ -794,3 +796,29 @@ def test_a_minute_of_damaged_bytes_never_moves_the_drive_to_a_value_that_nobody_
     assert rig.block.requests["damaged"] > 100  # so many never reached a register
     assert rig.driven <= rig.commanded
     assert len(rig.driven) > 250
+
+
+@pytest.mark.parametrize("watchdog", [True, False])
+@pytest.mark.parametrize("style", STYLES)
+def test_a_loop_reacts_within_the_time_that_the_room_to_stop_counts(style: str, watchdog: bool) -> None:
+    """Whatever is late, and however often."""
+    experiment = experiment_with(style, None if watchdog else {"watchdog": None})
+    if not watchdog:
+        experiment = experiment.model_copy(
+            update={
+                "daq": experiment.daq.model_copy(update={"accept_no_watchdog": True, "timeout_s": experiment.period_s})
+            }
+        )
+    rig, d = Rig(experiment), experiment.device
+    driver, longest_s = rig.driver, 0.0
+    for seed in range(60):
+        rig.arm()
+        late = LateBus(lambda: driver._waits.left_s, 0.009, experiment.daq.timeout_s, seed)
+        rig.block.disturb(late)
+        reaction_s = longest_reaction_s(driver, rig.block, late, d.period_s, reaction_periods(d))
+        longest_s = max(longest_s, reaction_s)
+        rig.block.disturb(None)
+        rig.block.sleep_until(rig.block.now_s() + 1.0)
+        driver.safe_stop()
+    counted_s = stopping_rad(d) / d.limits.max_speed_rad_s - d.limits.coast_tau_s
+    assert counted_s - 2.0 * d.period_s <= longest_s <= counted_s

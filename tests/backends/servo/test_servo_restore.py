@@ -301,6 +301,7 @@ def test_nothing_is_written_where_the_values_of_before_cannot_be_kept(tmp_path: 
                                   '{"model": "xl330-m288", "registers": {"id": 3}}',
                                   '{"model": "xl330-m288", "registers": {"pwm_limit": 99999}}',
                                   '{"model": "xl330-m288", "registers": {"pwm_limit": 1e999}}',
+                                  '{"model": "xl330-m288", "registers": {"pwm_limit": 300}}',
                                   '{"model": "xl330-m288", "registers": {"pwm_limit": 300}, "set": {"pwm_limit": 7}}',
                                   "[" * 100_000])  # fmt: skip
 def test_a_file_that_is_damaged_or_of_another_servo_is_not_believed(text: str, tmp_path: Path) -> None:
@@ -367,6 +368,25 @@ def test_another_servo_as_shipped_gets_no_gains_of_the_one_that_was_there(tmp_pa
     assert any("nothing of that run is left" in remark for remark in info.remarks)
     other.driver.close()
     assert other.registers() == before and not store.is_kept
+    # the first one comes back: its values are still there, as the remark has said
+    assert store.path is not None and store.aside_path is not None and str(store.aside_path) in " ".join(info.remarks)
+    store.aside_path.rename(store.path)
+    first.driver.safe_stop()
+    restore(first.another()._link, BeforeStore(store.path))
+    assert first.servo.of("mode") == 3 and first.servo.value("position_p_gain") == 123 and not store.is_kept
+
+
+def test_gains_of_who_has_changed_the_mode_back_since_a_killed_run_are_that_ones(tmp_path: Path) -> None:
+    """As a program of an arm does when it connects. What rig has set besides is put back."""
+    bench = Bench()
+    before = owned(bench)
+    store = left_by_a_killed_run(bench, tmp_path)
+    bench.driver.safe_stop()
+    bench.servo.put("operating_mode", 3)
+    bench.servo.put("position_p_gain", 16)
+    restore(bench.another()._link, store)
+    assert bench.servo.value("position_p_gain") == 16
+    assert owned(bench) == before | {"position_p_gain": 16}
 
 
 def test_another_servo_is_written_nothing_where_the_end_of_a_run_was_killed(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""How long a driver awaits an answer is what preflight counts into the room to stop, whatever the config says."""
+"""How long a driver awaits answers is what preflight counts into the room to stop, whatever the config says."""
 
 from __future__ import annotations
 
@@ -6,15 +6,19 @@ import dataclasses
 from collections.abc import Callable
 
 import pytest
-from servo_bench import Bench
+from late_bus import LateBus, longest_reaction_s
+from servo_bench import PROTOCOLS, Bench
+from test_servo_faults import alert, protects, torque_off
 
 from rig.backends.servo.line import setup_of
 from rig.config.schema import Experiment
 from rig.core.faults import Fault
 from rig.running.preflight.loop_settings import guard_settings_of
-from rig.running.preflight.room_to_stop import device_watchdog_s, reaction_s, stopping_rad, stopping_sum
+from rig.running.preflight.room_to_stop import reaction_periods, stopping_rad, stopping_sum
 
 SLACK_S = 1e-6
+SEEDS = 40
+QUICK_S = 0.0018  # of an exchange that nobody disturbs, the dither of a Feetech's included
 
 
 def experiment(
@@ -35,12 +39,10 @@ def bench_of(e: Experiment, protocol: str = "feetech") -> Bench:
 
 
 def counted_s(e: Experiment) -> tuple[float, float]:
-    """For how long one lost reply lets a drive act on, as guard and sum of the room to stop count it, s."""
-    d = e.device
-    beside_s = reaction_s(d) + (device_watchdog_s(d) or 0.0)
-    coasting_s = d.limits.coast_tau_s
-    in_sum_s = stopping_rad(d) / d.limits.max_speed_rad_s - beside_s - coasting_s
-    return guard_settings_of(e).reaction_s - beside_s, in_sum_s
+    """How long a loop needs to react, as guard and sum of the room to stop count it, s."""
+    limits = e.device.limits
+    in_sum_s = stopping_rad(e.device) / limits.max_speed_rad_s - limits.coast_tau_s
+    return guard_settings_of(e).reaction_s, in_sum_s
 
 
 def longest_wait_s(bench: Bench, limits_s: float | None = None) -> float:
@@ -70,23 +72,28 @@ def longest_wait_s(bench: Bench, limits_s: float | None = None) -> float:
     return max(waits_s)
 
 
-@pytest.mark.parametrize("timeout_s", [0.004, 0.01])
-@pytest.mark.parametrize("watchdog_s", [0.03, 0.06, 0.2])
-@pytest.mark.parametrize("attached", ["nothing", "load", "joint"])
-def test_no_answer_is_awaited_longer_than_the_room_to_stop_counts(
-    timeout_s: float, watchdog_s: float, attached: str
+@pytest.mark.parametrize(("timeout_s", "watchdog_s"), [(0.004, 0.04), (0.01, 0.06), (0.01, 0.2)])
+@pytest.mark.parametrize("attached", ["nothing", "joint"])
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_loop_reacts_within_the_time_that_the_room_to_stop_counts(
+    timeout_s: float, watchdog_s: float, attached: str, protocol: str
 ) -> None:
-    e = experiment(timeout_s, watchdog_s, attached)
+    """Answers, or requests, that are as late as the driver bears, in every order: none alone need be late."""
+    e = experiment(timeout_s, watchdog_s, attached, protocol)
+    bench = bench_of(e, protocol)
+    bench.opened()
+    driver, longest_s = bench.driver, 0.0
+    for seed in range(SEEDS):
+        driver.arm(bench.limits)
+        bench.bus.bus.disturbance = late = LateBus(lambda: driver._waits.left_s, QUICK_S, timeout_s, seed)
+        reaction_s = longest_reaction_s(driver, bench.bus, late, e.period_s, reaction_periods(e.device), 1.0)
+        longest_s = max(longest_s, reaction_s)
+        bench.bus.bus.disturbance = None
+        assert driver.safe_stop()
     by_guard_s, in_sum_s = counted_s(e)
-    wait_s = longest_wait_s(bench_of(e))
-    assert wait_s <= by_guard_s + SLACK_S and wait_s <= in_sum_s + SLACK_S
-    assert wait_s >= (timeout_s if attached == "joint" else min(watchdog_s, 0.1) - e.period_s)
-    assert ("lost reply" in stopping_sum(e.device)) == (attached != "joint")
-
-
-def test_a_joint_is_awaited_for_one_time_out_alone() -> None:
-    """It could meet its stop meanwhile."""
-    assert longest_wait_s(bench_of(experiment(attached="joint"))) <= 0.01 + SLACK_S
+    assert longest_s <= min(by_guard_s, in_sum_s) + SLACK_S
+    assert longest_s >= in_sum_s - 2.0 * e.period_s  # and it rides over what there is room for
+    assert ("lost reply" in stopping_sum(e.device)) == (attached != "joint" and protocol == "feetech")
 
 
 def test_no_answer_is_awaited_longer_than_the_breakaway_check_counts() -> None:
@@ -120,3 +127,26 @@ def test_late_answers_end_a_run_only_where_together_they_take_longer_than_one_ma
         )
     fault = bench.fault_within(12, 1.0)
     assert (fault is not None and fault.code == "LINK_TIMEOUT") if ends else fault is None
+
+
+@pytest.mark.parametrize("happens", [alert, protects, torque_off])
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_question_about_what_a_reading_shows_waits_no_longer_than_its_tick(
+    protocol: str, happens: Callable[[Bench], None]
+) -> None:
+    """The servo answers that it is not well, and nothing more; its last drive acts on meanwhile."""
+    e = experiment(attached="joint", protocol=protocol)
+    bench = bench_of(e, protocol)
+    bench.armed()
+    bench.tick(1.0)
+    bench.tick(1.0)
+    happens(bench)
+    for _ in range(4):
+        begun_s, heard = bench.bus.now_s(), len(bench.bus.bus.log)
+        bench.bus.bus.disturbance = lambda direction, data, _, heard=heard: (
+            [(0.0, data)] if direction == "request" or len(bench.bus.bus.log) == heard + 1 else []
+        )
+        if (fault := bench.fault_within(1, 1.0)) is not None:
+            break
+        bench.bus.bus.disturbance = None
+    assert fault is not None and bench.bus.now_s() - begun_s <= bench.driver._waits.longest_s + SLACK_S

@@ -1,0 +1,104 @@
+"""How long a serial driver awaits readings is what preflight counts into the room to stop."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from late_bus import LOST_S, LateBus, longest_reaction_s
+
+from rig.backends.backend import Line, LineBackend
+from rig.backends.driver import Clock, Transport
+from rig.backends.registry import unopened
+from rig.backends.serial.driver import SerialDriver
+from rig.config import load
+from rig.config.schema import DeviceSetup
+from rig.core.signals import Sample
+from rig.running.preflight.room_to_stop import known_reaction_s, reaction_periods
+from rig.testing.line import lines_opened_by
+
+CONFIG = Path(__file__).resolve().parents[3] / "config" / "demo.yaml"
+SEEDS = 40
+QUICK_S = 0.004  # of a reading that nobody disturbs
+
+
+class LateLine:
+    """A line of a device in virtual time, some of whose answers come late."""
+
+    late: LateBus | None = None
+
+    def __init__(self, line: Transport, clock: Clock) -> None:
+        self._line, self._coming = line, deque[tuple[float, bytes]]()
+        self.now_s, self.sleep_until, self.close = line.now_s, clock.sleep_until, line.close
+
+    def write(self, data: bytes) -> None:
+        if self.late is not None:
+            self.late("request", data, self.now_s())
+        self._line.write(data)
+
+    def read(self, timeout_s: float) -> bytes:
+        until_s = self.now_s() + timeout_s
+        while not (self._coming and self._coming[0][0] <= self.now_s()):
+            next_s = min(until_s, self._coming[0][0]) if self._coming else until_s
+            if data := self._line.read(max(next_s - self.now_s(), 0.0)):
+                late_s = 0.0 if self.late is None else self.late("reply", data, self.now_s())[0][0]
+                if late_s < LOST_S:
+                    self._coming.append((self.now_s() + late_s, data))
+            elif self.now_s() >= until_s:
+                return b""
+        return self._coming.popleft()[1]
+
+
+class LateReadings:
+    """The driver; its readings alone have answers, so they alone are late."""
+
+    def __init__(self, driver: SerialDriver, late: LateBus) -> None:
+        self._driver, self._late = driver, late
+
+    def read(self) -> Sample:
+        self._late.is_late = True
+        return self._driver.read()
+
+    def write(self, u_V: float) -> None:
+        self._late.is_late = False
+        self._driver.write(u_V)
+
+    def safe_stop(self) -> bool:
+        return self._driver.safe_stop()
+
+
+@pytest.mark.parametrize(("timeout_s", "watchdog_s", "period_s"), [
+    (0.01, 0.04, 0.01), (0.03, 0.1, 0.01), (0.06, 0.1, 0.02), (0.03, 0.2, 0.02),
+])  # fmt: skip
+def test_a_loop_reacts_within_the_time_that_the_room_to_stop_counts(
+    timeout_s: float, watchdog_s: float, period_s: float
+) -> None:
+    """Two readings in a row, each as late as the watchdog let it, took twice as long as was counted."""
+    e = load(CONFIG)
+    daq = e.daq.model_copy(update={"timeout_s": timeout_s, "watchdog_s": watchdog_s})
+    d = e.model_copy(update={"period_s": period_s, "daq": daq}).device
+    lines = []
+
+    @contextmanager
+    def behind_late(backend: LineBackend, setup: DeviceSetup) -> Iterator[Line]:
+        with backend.line(setup) as line:
+            lines.append(LateLine(line.transport, line.clock))
+            yield line._replace(transport=lines[0])
+
+    longest_s = 0.0
+    with lines_opened_by(behind_late), unopened(d) as bench:
+        driver, line = bench.driver, lines[0]
+        assert isinstance(driver, SerialDriver)
+        driver.open()
+        for seed in range(SEEDS):
+            driver.arm(d.arming)
+            line.late = late = LateBus(lambda: driver._waits.left_s, QUICK_S, timeout_s, seed, there=0.0)
+            reaction_s = longest_reaction_s(LateReadings(driver, late), line, late, period_s, reaction_periods(d))
+            longest_s = max(longest_s, reaction_s)
+            line.late = None
+            driver.safe_stop()
+            line.sleep_until(line.now_s() + 0.5)
+    assert watchdog_s < longest_s <= known_reaction_s(d)
