@@ -6,11 +6,9 @@ import importlib
 import resource
 import signal
 from collections.abc import Callable, Generator, Iterator
-from functools import partial
 from typing import Any
 
 import pytest
-import yaml
 from hypothesis import HealthCheck, settings
 
 # The same examples in every run, so that what fails says what changed; `make search` draws others. No deadline, nor a
@@ -19,9 +17,6 @@ TIMELESS: dict[str, Any] = {"deadline": None, "suppress_health_check": [HealthCh
 settings.register_profile("same", derandomize=True, **TIMELESS)
 settings.register_profile("search", derandomize=False, print_blob=True, **TIMELESS)
 settings.load_profile("same")
-
-for name, kind in (("safe_load", "Loader"), ("safe_dump", "Dumper")):  # by libyaml, in a tenth of the time
-    setattr(yaml, name, partial(getattr(yaml, name[5:]), **{kind: getattr(yaml, f"CSafe{kind}")}))
 
 # Rooms about what is found of a motor, and about what is shown. Elsewhere a run ends without laws, or without figures.
 FINDINGS = {"campaign", "compare", "export", "fuzz", "identify", "report", "results", "tools", "tune"}

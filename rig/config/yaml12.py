@@ -42,9 +42,6 @@ _CORE_SCHEMA = [
     ),
 ]
 
-# libyaml takes a tab for a space, and a `#` behind `|` for a comment, and counts other columns behind the rest
-_ODD = re.compile(r"[\t?\x85\u2028\u2029\ufeff]|[|>][-+0-9]*#")
-
 _HINTS = [  # part of PyYAML's message -> what people have usually done; whether its cause is where the construct begins
     ("mapping values are not allowed", "check the indentation, and quote a text that contains `: `", False),
     ("could not find expected ':'", "write `key: value`, with a space after the colon", True),
@@ -55,17 +52,18 @@ _HINTS = [  # part of PyYAML's message -> what people have usually done; whether
 ]
 
 
-_LIBYAML: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # not in every package of PyYAML
-
-
-class _Plain(yaml.composer.Composer):
+class _Loader(yaml.SafeLoader):
     """Composes nodes; refuses YAML features that an experiment does not need."""
 
     yaml_implicit_resolvers = {None: _CORE_SCHEMA}  # noqa: RUF012 (PyYAML's own attribute)
-    _depth = _values = 0
+
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)
+        self._depth = 0
+        self._values = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        event = self.peek_event()  # type: ignore[attr-defined]
+        event = self.peek_event()  # type: ignore[no-untyped-call]
         mark = event.start_mark
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None) is not None:
             raise _refused(mark, "anchors and aliases are not supported: write the value where it is used")
@@ -82,19 +80,7 @@ class _Plain(yaml.composer.Composer):
         return node
 
 
-class _Loader(_Plain, yaml.SafeLoader):
-    """By PyYAML itself: its messages, and the place of every character."""
-
-
-class _Quick(_Plain, _LIBYAML):  # type: ignore[misc]
-    """By libyaml, in a tenth of the time: the same values, and where each begins and ends."""
-
-    def __init__(self, stream: str) -> None:
-        _Plain.__init__(self)
-        _LIBYAML.__init__(self, stream)
-
-
-class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]
+class _Dumper(yaml.SafeDumper):
     """Quotes a text exactly where this module would read it as something else."""
 
     yaml_implicit_resolvers = {None: _CORE_SCHEMA}  # noqa: RUF012 (PyYAML's own attribute)
@@ -159,20 +145,8 @@ def emit(data: JsonObject) -> str:
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100)
 
 
-def _quickly(text: str) -> yaml.Node | None:
-    """The root node; None also for what libyaml may read otherwise, and for all that ``compose`` has words for."""
-    if len(text) > MOST_BYTES or _ODD.search(text):
-        return None
-    try:
-        return _Quick(text).get_single_node()
-    except (yaml.YAMLError, ValueError, OverflowError):
-        return None
-
-
 def compose(text: str, file: str) -> yaml.Node | None:
     """The document's root node, None if there is none; ConfigError for bad syntax, and for what is too much."""
-    if (quick := _quickly(text)) is not None:
-        return quick
     if len(text) > MOST_BYTES:
         raise ConfigError([Problem((), f"more than {MOST_BYTES} characters", "leave out what is no experiment", file)])
     try:

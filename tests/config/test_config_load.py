@@ -12,7 +12,7 @@ from evidence import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rig.config import ConfigError, Experiment, dump, load, yaml12
+from rig.config import ConfigError, Experiment, dump, load
 from rig.config.problems import Problem
 from rig.config.units import converted, stem_of, unit_of
 from rig.config.yaml12 import emit, parse
@@ -392,21 +392,6 @@ def test_any_text_gives_config_error_and_nothing_else(tmp_path: Path, text: str)
 @given(st.integers(0, len(DEMO)), st.integers(0, 12), YAML_LIKE)
 def test_a_damaged_demo_gives_config_error_and_nothing_else(tmp_path: Path, at: int, cut: int, text: str) -> None:
     only_config_error((DEMO[:at] + text + DEMO[at + cut :]).encode("utf-8"), tmp_path / "f.yaml")
-
-
-@any_file
-@given(st.integers(0, len(DEMO)), st.integers(0, 12), YAML_LIKE)
-def test_libyaml_reads_as_pyyaml_does(at: int, cut: int, text: str) -> None:
-    def told() -> JsonObject | None:
-        try:
-            return parse(DEMO[:at] + text + DEMO[at + cut :], "demo").data
-        except ConfigError:
-            return None
-
-    quick = told()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(yaml12, "_quickly", lambda _: None)
-        assert told() == quick
 
 
 def paths_of(data: object, above: tuple[str | int, ...] = ()) -> list[tuple[str | int, ...]]:
