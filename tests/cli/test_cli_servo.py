@@ -119,7 +119,9 @@ def test_what_a_run_has_left_is_put_back(port: str, tmp_path: Path, monkeypatch:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     file = tmp_path / "rig" / f"servo-{Path(port).name}-1.json"
     file.parent.mkdir()
-    file.write_text(json.dumps({"model": "xl330-m288", "id": 1, "registers": {"pwm_limit": 300}}))
+    file.write_text(
+        json.dumps({"model": "xl330-m288", "id": 1, "registers": {"pwm_limit": 300}, "set": {"pwm_limit": [885]}})
+    )
     assert "put back: pwm_limit 300" in said("servo", "restore", port, "1")
     assert json.loads(said("servo", "show", port, "1", "--json"))["registers"]["pwm_limit"] == 300
     assert not file.exists()

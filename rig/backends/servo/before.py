@@ -110,7 +110,9 @@ class BeforeStore:
             for name, value in registers.items():
                 if whose == model.name and model.has(name):
                     model[name].pack(value)  # one that it cannot hold would stop the putting back half-way
-        except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
+        except KeyError as error:  # an older rig wrote no key `set`
+            raise Fault("SERVO_CHANGED", f"{self.path} lacks the key {error}; its values may be old") from error
+        except (ValueError, TypeError, AttributeError, OverflowError) as error:
             raise Fault("SERVO_CHANGED", f"{self.path} is damaged: {error}") from error
         foreign = [name for name in registers if name not in _CHANGED[model.protocol] or not model.has(name)]
         if whose != model.name or foreign:
