@@ -7,7 +7,8 @@ rows or a ramp, is to a slower motor no more than its middle and its variance s^
 difference over half of these rows, so that their noise hardly grows.
 
 The change is looked for with which the plain motor explains pieces of the tests best. It counts where the plain motor
-leaves more than noise, and most of that goes; but not where a dead band explains more: it lags at reversals, too.
+leaves more than noise, and most of that goes; but not where a dead band explains more, or a bridge that is free between
+its pulses: they lag, too.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identification.departures.departure import NOTHING
-from rig.identification.departures.fit import Fit
+from rig.identification.departures.fit import Fit, solve
 from rig.identification.estimate import Estimate
 from rig.identification.in_pieces import DEAD_BAND, PIECE_S, free_between, plain_in_pieces
 from rig.identification.lowest import lowest
@@ -41,6 +42,7 @@ LEAVES, SHOWS = 1.1, 1.03  # residual over the sensor's noise from which on a sm
 CUTS, NEARLY_ALL, PROMISING, SURE = 0.5, 0.1, 0.8, 20.0
 NOISY, TWICE = 3.0, 0.7  # residual over noise from which on two low passes are tried; residual over that with one
 LONGEST_S, TRIED, COARSE, FINER = 0.5, 8, 5, 16
+TO_ITS_END = 20  # iterations of a motion that may be told without a filter
 EXPLAINS, NEAR = 0.01, 0.95  # residual over the spread of positions, at most; of the longest mean, or low pass
 MEAN_OF_ROW = 0.75  # of a period: so short a filter is no filter, but how velocities are summed
 SMOOTHED = {"reading": "a smoothed velocity", "drive": "one that was measured", "row": "all that one card reads"}
@@ -230,8 +232,12 @@ def _behind(
         if beyond(found[best]) >= cuts**2 * beyond(without):
             return without, None
     band = {**bridge, DEAD_BAND: SMALL * max(float(np.abs(test.u_V).max()) for test in tests)}
-    is_band = plain_in_pieces(tests, plain, band).rms_rad < found[best]  # at each reversal it lags as a filter does
-    if is_band or not sum(map(len, tests)) * math.log(without / found[best]) > SURE:
+    # at each reversal it lags as a filter does; and where the drive is small, a bridge that is free between its pulses
+    motions = (plain_in_pieces(tests, plain, one) for one in (bridge, band, {**band, **free_between(tests)}))
+    if (
+        any(solve(one, TO_ITS_END).rms_rad < found[best] for one in motions)
+        or not sum(map(len, tests)) * math.log(without / found[best]) > SURE
+    ):
         return without, None
     # where a motor leaves so much of the motion, or asks for the longest change, it is no plain one behind one
     most_rad = max(NOISY * noise_rad, EXPLAINS * max(float(np.std(test.y_rad)) for test in tests))

@@ -8,6 +8,7 @@ import json
 import re
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -237,6 +238,14 @@ def test_each_model_says_where_it_comes_from_and_how_certain_it_is(exported: Cal
         assert "95 % 0.169 to 0.171" in text
         assert "LACKS drift 0.1" in text
     assert f'#define RIG_MOTOR_RUN "{run.name}"' in header
+
+
+def test_without_a_bridge_that_is_free_between_its_pulses_a_model_is_slower_and_stops_sooner(tmp_path: Path) -> None:
+    motor = motor_of(run_with(tmp_path, "free_between"))
+    model = replace(motor, motor=motor.motor._replace(free_between=0.0))
+    (y_rad, v_rad_s), (model_rad, model_rad_s) = (own_motion(one, np.repeat([1.3, 0.0], 50)) for one in (motor, model))
+    assert v_rad_s[50] > 1.5 * model_rad_s[50] and y_rad[-1] - y_rad[50] > 1.5 * (model_rad[-1] - model_rad[50])
+    assert IN_NONE["free_between"].endswith("at small drives the motor is faster and coasts farther than the model")
 
 
 def test_the_command_names_what_it_wrote_and_what_is_lacking(

@@ -927,6 +927,32 @@ def test_a_bridge_that_lets_the_motor_run_free_between_its_pulses_is_found(drive
 
 
 @pytest.mark.evidence
+def test_a_bridge_that_is_slow_at_small_drives_is_no_filter() -> None:
+    """In levels that last, the reading was taken for low-passed by 340 ms, and no number was left."""
+    t_s, levels = np.linspace(0.0, 14.0, 2800, endpoint=False), np.array([1.35, 2.25, 3.15, 4.5, 3.15, 2.25, 1.35, 0.0])
+    u_V = levels[np.arange(t_s.size) // 175 % 8] * np.where(t_s < 7.0, 1.0, -1.0)
+    motor = RealMotor(0.2, 2.37, 0.67, free_between=0.9, full_drive_V=9.0)
+    y_rad = response(motor, Frame(duration_s=14.0), (t_s, u_V), t_s, Pieces.one())
+    record = from_columns(Path("log.csv"), t_s, u_V, 3.6 * STEP_RAD * np.floor(y_rad / (3.6 * STEP_RAD)))
+    answer = identify([replace(record, most_V=9.0)]).answer
+    assert answer is not None and answer.verdict == "ok" and right(answer, motor, 0.025, "tau_s", "K_rad_s_V", "fc_V")
+
+
+@pytest.mark.evidence
+def test_behind_such_a_bridge_a_dead_band_that_is_friction_to_a_drive_that_always_pushes_is_in_u95_of_all() -> None:
+    """Up to its size K, tau and c move, too: f_c was 103 % off beside 3.5 %, tau and K 7 % beside 1 %, and `ok`."""
+    t_s, levels = np.linspace(0.0, 10.0, 2000, endpoint=False), np.array([0.0, 1.3, 2.25, 3.2, 4.5, 3.2, 2.25, 1.3])
+    u_V = levels[np.arange(t_s.size) // 125 % 8] * np.where(t_s < 5.0, 1.0, -1.0)
+    motor = RealMotor(0.045, 2.4, 0.67, dead_band_V=0.69, free_between=0.9, full_drive_V=9.0)
+    y_rad = response(motor, Frame(duration_s=10.0), (t_s, u_V), t_s, Pieces.one())
+    record = from_columns(Path("log.csv"), t_s, u_V, 3.6 * STEP_RAD * np.floor(y_rad / (3.6 * STEP_RAD)))
+    answer = identify([replace(record, most_V=9.0)]).answer
+    assert answer is not None and answer.u95 is not None and answer.verdict == "doubtful"
+    for name in ("tau_s", "K_rad_s_V", "fc_V"):
+        assert abs(answer.value(name) - getattr(motor, name)) < answer.u95[name], name
+
+
+@pytest.mark.evidence
 def test_a_column_that_was_smoothed_behind_a_bridge_that_does_not_brake_is_undone() -> None:
     """None was looked for there: tau was up to 116 % off beside 17 %."""
     t_s, u_V, y_rad = _free_at_0_V(800)

@@ -22,6 +22,7 @@ from rig.identification.departures.choice import CHANCE, TRIAL_ITERATIONS, Choos
 from rig.identification.departures.departure import Bench, Departure
 from rig.identification.departures.fit import Fit, Normal, refitted, solve, unit
 from rig.identification.departures.nuisances import OF
+from rig.model.real_motor import RealMotor
 
 STEPS = 3  # of a fit, from the size before
 AS_FRICTION = 0.1  # change of K over that of the drive, at most, by what is nothing but friction in a record
@@ -66,14 +67,14 @@ def untold(fit: Fit, laws: Sequence[Departure], chooser: Chooser) -> list[Array]
 
     It moves them so in the largest size that a bench may have, and that the record does not exclude.
     """
-    found = []
+    found, largest_V = [], chooser.bench.largest_V
     for law in (one for one in chooser.candidates if one not in laws and one.untold(chooser.bench) > 0.0):
         [name], most = law.numbers, law.untold(chooser.bench)
         one, likely, excluded, size, tries = fit, 0.0, math.inf, law.range_of(chooser.bench), NARROWER
         while tries:  # from the usual size on, each twice the one before; then between two of them
             trial = solve(refitted(one, motor=one.motor._replace(**{name: size})), TRIAL_ITERATIONS)
-            moved = abs(trial.motor.K_rad_s_V / fit.motor.K_rad_s_V - 1.0)
-            if _rise(trial, fit) <= CHANCE and moved < AS_FRICTION * size / chooser.bench.largest_V:
+            moved = abs(_gain(trial.motor, largest_V) / _gain(fit.motor, largest_V) - 1.0)
+            if _rise(trial, fit) <= CHANCE and moved < AS_FRICTION * size / largest_V:
                 one, likely = trial, size
             else:
                 excluded = size
@@ -84,6 +85,12 @@ def untold(fit: Fit, laws: Sequence[Departure], chooser: Chooser) -> list[Array]
             share = min(excluded, most) / likely
             found.append(share * np.array([getattr(one.motor, key) - getattr(fit.motor, key) for key in OF]))
     return found
+
+
+def _gain(m: RealMotor, u_V: float) -> float:
+    """K at a drive: a bridge that lets the motor run free between its pulses brakes for their share of the time."""
+    idle = max(1.0 - (u_V - m.dead_band_V) / m.full_drive_V, 0.0) if m.free_between > 0.0 else 0.0
+    return m.K_rad_s_V / (1.0 - m.free_between * (1.0 - m.viscous_share) * idle)
 
 
 def best_size(fit: Fit, law: Departure, laws: Sequence[Departure], chooser: Chooser) -> Fit:

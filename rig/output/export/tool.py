@@ -21,7 +21,7 @@ IN_NONE: Final = {
     "load_friction": "friction is that at no torque: a large drive moves the model farther than the motor",
     "source": "the supply has no resistance: tau is that of small drives",
     "runs_free": "the bridge brakes: at a drive of 0 the motor coasts farther than the model",
-    "free_between": "the bridge always brakes: at small drives the motor is slower and stops sooner than the model",
+    "free_between": "the bridge always brakes: at small drives the motor is faster and coasts farther than the model",
     "no_brake": "the bridge brakes: where its drive falls the motor coasts farther than the model",
 }
 # And what has no state in a model of velocity and position, and no inverse.
