@@ -12,6 +12,7 @@ from rig.core.faults import Fault
 TICKS = 9  # of an episode: three times those in which a loop reacts
 LOST_S = 9.0
 EARLY_S = 1e-5  # that an answer comes ahead of its time-out
+HOST_SHARE = 0.1  # of the period, that the host takes behind each drive
 
 
 class LateBus:
@@ -37,12 +38,12 @@ class LateBus:
     def __call__(self, direction: Direction, data: bytes, t_s: float) -> Sequence[tuple[float, bytes]]:
         if direction == "reply":
             late_s, self._back_s = self._back_s, 0.0
-            return [(late_s, data)]
+            return [(late_s, data)] if late_s < LOST_S else []
         late_s, self._back_s = self._lateness(), 0.0
         if self._draw.random() >= self._there:
             late_s, self._back_s = 0.0, late_s
         self.arrived.append(t_s + late_s)
-        return [(late_s, data)]
+        return [(late_s, data)] if late_s < LOST_S else []
 
     def _lateness(self) -> float:
         if not self.is_late or len(self.arrived) < self._begins:
@@ -62,7 +63,7 @@ class LateBus:
 def longest_reaction_s(driver: Any, clock: Any, late: LateBus, period_s: float, reacts: int, u_V: float = 0.0) -> float:
     """The longest from a reading to the drive, or the stop, that answers to a motion which began right behind it, s.
 
-    The driver is armed. The loop keeps to its grid as the real one does.
+    The driver is armed. The loop keeps to its grid as the real one does, and the host has its part of each period.
 
     reacts    that drive is decided so many ticks later
     """
@@ -78,6 +79,7 @@ def longest_reaction_s(driver: Any, clock: Any, late: LateBus, period_s: float, 
             sampled.append(late.arrived[first])
             driver.write(u_V if tick % 2 else -u_V)
             acted.append(late.arrived[-1])
+            clock.sleep_until(clock.now_s() + HOST_SHARE * period_s)
             tick += 1 + max(int((clock.now_s() - due_s) / period_s), 0)
     except Fault:
         late.is_late = False

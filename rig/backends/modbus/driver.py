@@ -35,6 +35,7 @@ from rig.core.signals import Limits, Order
 
 _SILENCE_MARGIN_S = 0.1  # beyond a watchdog's time: a device has its own clock, and its own cycle
 _OWN_ECHOES = 2  # what echoes of a late reply, or of a write that was not executed, differ by at most
+_STOP_BYTES = 11  # FC16 of one register
 _EMULATED = ("rig", "emulated I/O block")  # vendor and product of the emulated block
 
 
@@ -72,7 +73,9 @@ class ModbusDriver(RegisterDriver[Request]):
         if self.failsafe is None and registers.device_watchdog_s is not None:
             self.failsafe = DeviceWatchdog(registers.device_watchdog_s)
         self._line = line
-        self._waits = TickWaits(REACTS_TICKS + self._writes_in_reading, timeouts.reply_s)
+        if self.failsafe is not None:
+            self._lost_reply_s -= line.pause_s + line.wire_s(_STOP_BYTES)  # a stop waits for silence, and takes time
+        self._waits = TickWaits(REACTS_TICKS + self._writes_in_reading, timeouts.period_s)
         self._sequence = 0  # as last written with a drive; its echo must be this
         self._echo: float | None = None  # as last read since it was armed, or since the stop after that
         self._fresh = False  # the drive has not gone out yet

@@ -62,7 +62,7 @@ def modbus_driver(
         asked,
         RegisterMap.of(modbus),
         d.scaling,
-        Timeouts(daq.timeout_s, daq.open_timeout_s),
+        Timeouts(daq.timeout_s, daq.open_timeout_s, d.period_s),
         name=name,
         emulated=emulated,
         answered=answered,

@@ -107,7 +107,7 @@ class RegisterDriver(ABC, Generic[Req]):
         self._lost_reply_s = (
             self._timeout_s
         )  # for so long a drive may act on by what a reply waits, as preflight counts
-        self._waits = TickWaits(REACTS_TICKS, self._timeout_s, timeouts.period_s)
+        self._waits = TickWaits(REACTS_TICKS, timeouts.period_s)
         self._beyond = {True: _Beyond(), False: _Beyond()}  # of readings, of drives
 
     @property
@@ -227,7 +227,7 @@ class RegisterDriver(ABC, Generic[Req]):
         Raises Fault LINK_TIMEOUT, LINK_REPLY, LINK_UNIT, LINK_LOST, DEVICE_RESET, the device's refusal, or the fault
         that its status names.
         """
-        self._waits.read()
+        self._waits.read(self._transport.now_s())
         reply = self._tick_reading() if self._armed else self._unhurried_reading()
         self._sampled_s = reply.executed_s
         values = self._values(self._read_span, reply)
@@ -255,7 +255,7 @@ class RegisterDriver(ABC, Generic[Req]):
         if abs(units) > self._max_units:
             raise ValueError(f"drive {u_V:g} V is beyond the {self.drive_map.to_volts(self._max_units):g} V armed for")
         self._tick_writing(units)
-        self._waits.next_tick()
+        self._waits.drive()
         self._units = units
 
     def safe_stop(self) -> bool:

@@ -194,7 +194,7 @@ class SerialDriver:
         self._setup: Setup | None = None  # that the device has confirmed
         self._armed = False
         self._heard_s = -math.inf  # when the device was last told a drive, at the earliest
-        self._waits = TickWaits(REACTS_TICKS, 0.0)  # a time-out may be longer than a period
+        self._waits = TickWaits(REACTS_TICKS, timeouts.period_s)
         self._unconfirmed: int | None = None  # seq of a DRIVE frame that no STATE has told of yet
         self._driven = False  # the device has accepted a DRIVE since arming
         self._t_drive_us = -1  # as last reported, and the same in host time: an old drive is mapped once
@@ -416,7 +416,7 @@ class SerialDriver:
         waits for as long as the device's watchdog lets the last drive act. Raises Fault LINK_TIMEOUT without an answer,
         and when three readings in a row had to be repeated.
         """
-        self._waits.read()
+        self._waits.read(self._exchange.now_s())
         seqs = [self._exchange.send(Kind.READ)]
         sent_s = self._exchange.now_s()  # a host that stood still may have sent it late
         ends_s = self._ends_s(sent_s)
@@ -481,7 +481,7 @@ class SerialDriver:
         if self._ended is not None:
             self._t_u_s, self._ended = self._ended.t_s, None
         self._heard_s = self._exchange.now_s()
-        self._waits.next_tick()
+        self._waits.drive()
         self._unconfirmed = self._exchange.send(kind, body)
 
     def safe_stop(self) -> bool:

@@ -62,7 +62,7 @@ def driver(d: DeviceSetup, line: Line) -> SerialDriver:
     return SerialDriver(
         line.transport,
         d.scaling,
-        Timeouts(d.daq.timeout_s, d.daq.open_timeout_s),
+        Timeouts(d.daq.timeout_s, d.daq.open_timeout_s, d.period_s),
         board=Board(d.drive.bridge, flash_line(d), runs_strokes=d.runs_strokes),
         # a chip takes longer over some numbers than over others: an emulated run is the same by its seed
         session=random.Random(d.seed).randrange(1, 2**32) if line.emulated else None,

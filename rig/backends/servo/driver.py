@@ -264,7 +264,7 @@ class ServoDriver(RegisterDriver[Ask]):
         if not self._steps.is_known:
             self._dithered = (self._dithered + _GOLDEN) % 1.0
             idle_s = self._dithered * STEP_S
-        self._waits.read()
+        self._waits.read(self._transport.now_s())
         reply = self._exchange(self._sampling, idle_s)
         if reply.pdu[0] or self._doubted:
             self._check_alert(reply)

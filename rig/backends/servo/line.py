@@ -23,7 +23,7 @@ from rig.backends.servo.emulated.virtual_bus import VirtualServoBus
 from rig.backends.servo.keeper import starter
 from rig.backends.servo.link_budget import adapter_of, longest_return_delay_s
 from rig.backends.servo.opening import ServoSetup
-from rig.backends.servo.rules import has_watchdog, longest_wait_s, switch_to_try
+from rig.backends.servo.rules import longest_wait_s, switch_to_try
 from rig.backends.servo.section import EMULATED_PORTS, Servo
 from rig.config.schema import DeviceSetup, ServoSensor
 from rig.core.calibration import largest_drive_in_units
@@ -55,7 +55,7 @@ def driver(d: DeviceSetup, line: Line) -> ServoDriver:
         setup_of(d),
         d.daq.baud,
         d.scaling,
-        Timeouts(d.daq.timeout_s, d.daq.open_timeout_s, d.period_s if has_watchdog(servo) else 0.0),
+        Timeouts(d.daq.timeout_s, d.daq.open_timeout_s, d.period_s),
         store,
         guardian=guardian,
         name=line.name,
