@@ -115,10 +115,12 @@ def main() -> None:
     link: Path | None
     trace: Path | None
     ends = _signals()
-    _take_priority()  # before a device starts a process, which inherits it
+    make, link, trace = pickle.loads(base64.b64decode(sys.argv[1]))
+    # behind what loading takes, for which a kernel takes its share back when replies are due; and before a device starts
+    # a process, which inherits it
+    _take_priority()
     try:
         with contextlib.ExitStack() as stack:
-            make, link, trace = pickle.loads(base64.b64decode(sys.argv[1]))
             file = None if trace is None else stack.enter_context(trace.open("w", encoding="ascii"))
             device = make()
             rows = _Trace(device, file)
