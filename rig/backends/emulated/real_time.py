@@ -116,8 +116,8 @@ def main() -> None:
     trace: Path | None
     ends = _signals()
     make, link, trace = pickle.loads(base64.b64decode(sys.argv[1]))
-    # behind what loading takes, for which a kernel takes its share back when replies are due; and before a device starts
-    # a process, which inherits it
+    # when all is loaded: for what that takes a kernel takes its share back when replies are due. And before a device
+    # starts a process, which inherits it
     _take_priority()
     try:
         with contextlib.ExitStack() as stack:
