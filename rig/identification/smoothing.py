@@ -173,12 +173,20 @@ def smoothing(tests: Sequence[TimeSeries], plain: Estimate) -> Smoothing | None:
         return None
     rad, found = _behind(NOTHING, tests, plain, noise_rad)
     ways_rad = [float(np.std(np.diff(test.y_rad))) * COAST_S / test.period_s for test in tests]
-    for bridge in (*NO_BRAKES, free_between(tests)) if rad > EXPLAINS * max(ways_rad) else ():
+    for bridge in _bridges(tests, plain) if rad > EXPLAINS * max(ways_rad) else ():
         if rad > NOISY * noise_rad:
             other_rad, other = _behind(bridge, tests, plain, noise_rad)
             is_told = other is None or other.left != 1.0
             rad, found = (other_rad, other) if is_told and other_rad < CUTS * rad else (rad, found)
     return found
+
+
+def _bridges(tests: Sequence[TimeSeries], plain: Estimate) -> Iterator[Mapping[str, float]]:
+    """Bridges that do not brake; one that lets the motor run free between its pulses only where it explains more."""
+    yield from NO_BRAKES
+    free = free_between(tests)
+    if plain_in_pieces(tests, plain, free).rms_rad < PROMISING * plain_in_pieces(tests, plain).rms_rad:
+        yield free
 
 
 def _behind(
