@@ -17,6 +17,7 @@ from rig.config import ConfigError, Experiment
 from rig.config.schema import LawSection
 from rig.control.laws import TUNED
 from rig.control.state_feedback import Loop
+from rig.core.motor_numbers import RealMotor
 from rig.design.tune.margins import Margins
 from rig.design.tune.prediction import Prediction, predict
 from rig.design.tune.program import Room, Trial, whole_trial
@@ -118,7 +119,19 @@ class TunedRun:
         found = result_of(self.tuned, self.prediction, bench, self.folder.resolve().name, law)
         largest_V = max(float(np.abs(one.u_V).max()) for one in self.prediction.records)
         beyond = beyond_drive(self.holds, largest_V)
-        return found.model_copy(update={"beyond": f"the trial has {beyond}" if beyond else None})
+        said = [f"the trial has {beyond}"] * bool(beyond) + of_full_drive(self.tuned.motor.framed.motor)
+        return found.model_copy(update={"beyond": "; ".join(said) or None})
+
+
+def of_full_drive(motor: RealMotor) -> list[str]:
+    """A sentence where the motor that a loop is designed for, with tau and K, is that of the full drive alone."""
+    if motor.free_between <= 0.0:
+        return []
+    return [
+        f"gains, kV and margins are those at a drive of {motor.full_drive_V:.3g} V: the bridge lets the motor run free "
+        "between its pulses, so below it K and tau are larger; `rig track` and the trial know that, a loop of your own "
+        "may swing or overshoot"
+    ]
 
 
 class _Place(NamedTuple):

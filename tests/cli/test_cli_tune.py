@@ -15,9 +15,10 @@ from tuned_run import GOLDEN, few_draws, tuned_run
 
 import rig
 from rig import config
+from rig.core.motor_numbers import RealMotor
 from rig.run_folder.recording.errors import CannotWriteError
 from rig.run_folder.results import Answer, IdentificationResult, SamplingResult
-from rig.running.run_tuning import LEAST_NOISE_RAD, Asked, tune_run
+from rig.running.run_tuning import LEAST_NOISE_RAD, Asked, of_full_drive, tune_run
 
 CONFIG = rig.ready("simulated")
 
@@ -171,3 +172,10 @@ def test_a_folder_without_a_motor_is_refused(tmp_path: Path) -> None:
     shutil.copy(GOLDEN / "meta.json", tmp_path)
     done = command("tune", tmp_path)
     assert done.exit_code == 2 and "result.json: is missing" in done.stderr
+
+
+def test_a_loop_for_a_motor_that_runs_free_between_pulses_says_that_it_is_that_of_full_drive() -> None:
+    motor = RealMotor(0.1, 5.0, 0.5)
+    (words,) = of_full_drive(motor._replace(free_between=0.8, full_drive_V=12.0))
+    assert "at a drive of 12 V" in words and "below it K and tau are larger" in words
+    assert of_full_drive(motor) == []
