@@ -245,6 +245,12 @@ def test_where_it_holds_at_one_drive_alone_is_said_so() -> None:
     assert line == "holds up to 5.65 V, between 10 and 120 rad/s, one way"
 
 
+def test_at_which_drive_tau_and_K_hold_is_said_where_the_bridge_lets_the_motor_run_free() -> None:
+    law = LAW.model_copy(update={"numbers": {"free_between": 0.9, "full_drive_V": 12.0}})
+    (line,) = validity(Answer(method="sampled-data", law=(law,)))
+    assert line == "gives tau and K at a drive of 12 V: below it both are larger"
+
+
 def test_a_number_that_may_be_off_by_more_than_itself_is_unknown() -> None:
     lines = shown(
         answer_of({"sampled-data": one(0.17, "doubtful")}, u95={"tau_s": 0.27, "K_rad_s_V": 1e4, "fc_V": 0.5})

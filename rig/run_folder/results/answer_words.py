@@ -115,7 +115,7 @@ def validity(answer: Answer) -> Iterator[str]:
     holds, predicts = answer.holds, answer.predicts
     for law in answer.law or ():
         if full_V := (law.numbers or {}).get("full_drive_V"):
-            yield f"tau and K are those at a drive of {full_V:.3g} V: below it both are larger"
+            yield f"gives tau and K at a drive of {full_V:.3g} V: below it both are larger"
     if holds is not None and holds.drive_V is not None and holds.speed_rad_s is not None:
         ways = "both ways" if holds.ways == "both" else "one way"
         drive, speed = (
