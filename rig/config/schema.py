@@ -682,13 +682,16 @@ class EmulatedParts(_PartsOfMotor):
     half_travel_rad: Positive = Field(1.0, description="half the width of that travel")
 
     @model_validator(mode="after")
-    def _cogs_have_an_order(self) -> Self:
+    def _shapes_are_there(self) -> Self:
         *sizes_V, per_rad = (getattr(self, name) for name in PARTS["cogging"])
         if any(sizes_V) and not per_rad:
             raise ValueError(
                 "cogging_sin_V and cogging_cos_V do nothing without cogging_per_rad: give it, the cogs for each radian "
                 "of the shaft, or leave all three out"
             )
+        share, full_V = (getattr(self, name) for name in PARTS["free_between"])
+        if share and not full_V:
+            raise ValueError("free_between does nothing without full_drive_V: give it, the volts of full drive")
         return self
 
 

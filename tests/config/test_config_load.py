@@ -185,6 +185,10 @@ BROKEN = {
         "bias_V: 0.01", "bias_V: 0.01\n    parts: {cogging_cos_V: 0.05}", "{cogging", "emulated.motor.parts",
         "do nothing without cogging_per_rad", "",
     ),
+    "free between pulses without full drive": (
+        "bias_V: 0.01", "bias_V: 0.01\n    parts: {free_between: 0.8}", "{free", "emulated.motor.parts",
+        "does nothing without full_drive_V", "",
+    ),
     "control character": ("name: demo", "name: de\x07mo", "\x07mo", "", "control character U+0007", "delete it"),
     "half a character": ("name: demo", 'name: "de\\ud800mo"', '"de', "name", "half of a surrogate pair", ""),
 }  # fmt: skip
