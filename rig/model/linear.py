@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from rig.core.arrays import Array
@@ -22,15 +24,16 @@ def settled(A: Array, G: Array, H: Array) -> Array:
     A  transition, G  C' R^-1 C of readings C with the noise R, H  the noise of a step; (n, n) each
 
     So it takes a twentieth of the time of scipy.linalg, which takes longer to load than many a command.
+    Raises ArithmeticError where it does not settle: such a filter would drift away.
     """
     one, A, X = np.eye(len(A)), A.T, H
     for _ in range(_DOUBLINGS):
         ahead = np.linalg.inv(one + G @ X)
         more = A.T @ X @ ahead @ A
         A, G, X = A @ ahead @ A, G + A @ ahead @ G @ A.T, X + more
-        if np.abs(more).max() <= np.finfo(np.float64).eps * np.abs(X).max():
-            break
-    return X
+        if np.abs(more).max() <= np.finfo(np.float64).eps * np.abs(X).max() < math.inf:
+            return X
+    raise ArithmeticError("the covariance of this filter does not settle")
 
 
 def input_vector(tau_s: float, K_rad_s_V: float, h_s: float) -> Array:

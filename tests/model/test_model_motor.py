@@ -157,3 +157,9 @@ def test_a_filter_settles_as_scipy_says(
         found = settled(A, by.T @ np.linalg.inv(noise) @ by, H)
         np.testing.assert_allclose(found, solve_discrete_are(A.T, by.T, H, noise), rtol=1e-6)
     np.testing.assert_allclose(settled(0.9 * A, np.zeros((2, 2)), H), solve_discrete_lyapunov(0.9 * A, H), rtol=1e-9)
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_what_does_not_settle_is_no_filter() -> None:
+    with pytest.raises(ArithmeticError, match="does not settle"):
+        settled(1.1 * np.eye(2), np.zeros((2, 2)), np.eye(2))

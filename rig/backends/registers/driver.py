@@ -106,7 +106,7 @@ class RegisterDriver(ABC, Generic[Req]):
         self._acts_s = 0.0  # for so long its watchdog lets that act, or, without one, this driver
         self._lost_reply_s = (
             self._timeout_s
-        )  # for so long a drive may act on by what a reply waits, as preflight counts
+        )  # as preflight counts: a drive may act so much longer by what a reply waits
         self._waits = TickWaits(REACTS_TICKS, timeouts.period_s)
         self._beyond = {True: _Beyond(), False: _Beyond()}  # of readings, of drives
 
