@@ -12,6 +12,7 @@ static const double LEVEL_CHANGES = 60.0;   /* what a level that changes along t
 static const double BALANCED = 1e-12;       /* of K times 1 V: bristles that pull less than this rest */
 static const double TURNED_V = sizeof(double) < 8u ? 1e-7 : 1e-9; /* a torque beyond it on either side has turned within a step */
 static const double PRESSED_S = 1e-3;       /* a motor pressed against a stop looks this often whether it still is */
+static const double ROUNDED = sizeof(double) < 8u ? 1e-6 : 1e-13; /* of a step: the rounding of the times of its ends */
 enum { ROUNDS = 60 };                       /* of the search for an event, which needs about five */
 /* Where double has four bytes, as on an AVR, rounding is coarser: an event within its reach, and longer steps, will do. */
 static const double EVENT_S = sizeof(double) < 8u ? 1e-7 : 1e-14;
@@ -38,12 +39,33 @@ static double most(double a, double b)
     return b > a ? b : a;
 }
 
+/* Whether a linear motion is taken in one exact step. An AVR has no room for that. */
+static const bool EXACT = sizeof(double) >= 8u;
+
+/* Between two events the motion of a motor that has no other numbers is linear in its velocity, and in time. */
+static const int LINEAR[] = {
+    AT_tau_s, AT_K_rad_s_V, AT_fc_V, AT_bias_V, AT_delay_s, AT_dead_band_V, AT_gain_by_sign, AT_sag_per_V,
+    AT_viscous_by_direction_V_s_rad, AT_static_V, AT_backlash_rad, AT_linearity_sin1_rad, AT_linearity_cos1_rad,
+    AT_linearity_sin2_rad, AT_linearity_cos2_rad, AT_drift, AT_load_friction, AT_load_outside, AT_viscous_share,
+    AT_source_per_V2, AT_runs_free, AT_no_brake, AT_free_between, AT_full_drive_V,
+};
+
+static bool is_linear_in(int number)
+{
+    bool found = false;
+    for (unsigned i = 0; i < sizeof LINEAR / sizeof LINEAR[0]; i++) {
+        found = found || LINEAR[i] == number;
+    }
+    return found;
+}
+
 /* The numbers of a motor, and what else is the same in all of its steps: whether it has a force or a friction over the
- * travel, cogging, a Stribeck effect, and a torque that differs from its drive; mean of the cosine over the travel. */
+ * travel, cogging, a Stribeck effect, a torque that differs from its drive, one whose sign matters, and a linear motion;
+ * mean of the cosine over the travel. */
 typedef struct {
     REAL_MOTOR_NUMBERS(REAL_MOTOR_FIELD)
     double centre_rad, half_travel_rad, start_s, duration_s;
-    bool turns, cogs, falls, transmits;
+    bool turns, cogs, falls, transmits, sided, linear;
     double mean_cosine;
 } motor;
 
@@ -56,6 +78,10 @@ static motor motor_of(const real_motor *numbers)
     m.falls = m.stribeck_V != 0.0 && m.stribeck_rad_s > 0.0;
     m.transmits = m.load_friction != 0.0 || m.source_per_V2 != 0.0 || m.runs_free != 0.0 || m.no_brake != 0.0 ||
                   m.free_between != 0.0;
+    m.sided = m.load_friction != 0.0 || m.no_brake != 0.0;
+    m.linear = EXACT;
+#define REAL_MOTOR_LINEAR(name, of, least, below) m.linear = m.linear && (m.name == 0.0 || is_linear_in(AT_##name));
+    REAL_MOTOR_NUMBERS(REAL_MOTOR_LINEAR)
     m.mean_cosine = m.turns ? sin(m.half_travel_rad) / m.half_travel_rad : 0.0;
     return m;
 }
@@ -72,11 +98,16 @@ static double pulse_share(const motor *m, double w)
     return fabs(w) < m->full_drive_V ? fabs(w) / m->full_drive_V : 1.0;
 }
 
-/* What drives at the drive `w` behind the stage: less the back-EMF, of which a share brakes only while a pulse is on, V. */
+/* Share of the back-EMF that brakes: between two pulses some of it may not. */
+static double braking(const motor *m, double w)
+{
+    return m->free_between != 0.0 ? 1.0 - m->free_between * (1.0 - pulse_share(m, w)) : 1.0;
+}
+
+/* What drives at the drive `w` behind the stage: less the back-EMF that brakes, V. */
 static double net_drive(const motor *m, double w, double v)
 {
-    const double back = back_emf(m, v);
-    return m->free_between != 0.0 ? w - back * (1.0 - m->free_between * (1.0 - pulse_share(m, w))) : w - back;
+    return w - back_emf(m, v) * braking(m, w);
 }
 
 /* What a bridge passes of the torque at a drive of 0, where it may let the motor run free, and against its drive, where it
@@ -169,6 +200,33 @@ static double turning(const motor *m, const real_state *at, wave here)
     return m->no_brake != 0.0 ? net_drive(m, at->w, at->v) : transmitted(m, at->w, at->v, here);
 }
 
+/* The sign of the torque that load friction sees, and what the bridge passes of it. */
+typedef struct {
+    double sign;
+    bridge passed;
+} torque_side;
+
+static torque_side side_of(const motor *m, const real_state *at, wave here)
+{
+    const double sign = m->sided && transmitted(m, at->w, at->v, here) < 0.0 ? -1.0 : 1.0;
+    return (torque_side){sign, passed(m, at->w, at->v)};
+}
+
+/* Share of a change of the net drive that is left behind the bridge, the supply and the load friction. */
+static double left_of_net(const motor *m, double sign, torque_side side, double w)
+{
+    const double load = side.sign * sign * m->load_friction;
+    return (1.0 - load) * side.passed.idle * side.passed.against / (1.0 + m->source_per_V2 * w * w);
+}
+
+/* Derivative by the velocity of the target velocity of a motor that neither drags nor has a Stribeck effect. */
+static double by_velocity(const motor *m, double sign, torque_side side, double w)
+{
+    const double viscous = -m->K_rad_s_V * m->viscous_by_direction_V_s_rad * sign;
+    const double share = m->transmits ? left_of_net(m, sign, side, w) * braking(m, w) : 1.0;
+    return viscous + (1.0 - m->viscous_share) * (1.0 - share);
+}
+
 static double level(const motor *m, double speed, wave here, double t_s)
 {
     double total = m->fc_V;
@@ -194,9 +252,9 @@ static double pull_at_rest(const motor *m, double w, wave here)
     return torque(m, w, 0.0) + m->bias_V - force(m, here);
 }
 
-static double load_at_rest(const motor *m, double w, wave here)
+static double load_at(const motor *m, double w, double v, wave here)
 {
-    return m->load_friction == 0.0 ? 0.0 : m->load_friction * fabs(transmitted(m, w, 0.0, here));
+    return m->load_friction == 0.0 ? 0.0 : m->load_friction * fabs(transmitted(m, w, v, here));
 }
 
 static double level_of_bristles(const motor *m, double speed, wave here, double t_s)
@@ -216,7 +274,7 @@ static double target(const motor *m, double sign, const real_state *at, wave her
     const double viscous = speed * (m->viscous_by_direction_V_s_rad + m->drag_V_s2_rad2 * at->v);
     double drive = at->w;
     if (m->transmits) {
-        const double load = m->load_friction * fabs(transmitted(m, at->w, at->v, here));
+        const double load = load_at(m, at->w, at->v, here);
         drive = torque(m, at->w, at->v) + back_emf(m, at->v) - sign * load;
     }
     return m->K_rad_s_V * (drive + m->bias_V - force(m, here) - friction - viscous);
@@ -239,7 +297,7 @@ static double direction(const motor *m, const real_state *at, double staged_V, d
     }
     const wave here = wave_at(m, at->y);
     double pull = pull_at_rest(m, at->w, here);
-    const double load = load_at_rest(m, at->w, here);
+    const double load = load_at(m, at->w, 0.0, here);
     if (m->bristle_V_rad > 0.0) {
         pull -= at->f;
         if (fabs(pull) <= BALANCED + load) {
@@ -259,7 +317,7 @@ static double phi4(double c)
 {
     static const double of[] = {1.0 / 24.0,       1.0 / 120.0,       1.0 / 720.0,       1.0 / 5040.0,      1.0 / 40320.0,
                                 1.0 / 362880.0, 1.0 / 3628800.0, 1.0 / 39916800.0, 1.0 / 479001600.0};
-    if (c < 0.5) {
+    if (fabs(c) < 0.5) {
         double total = of[8];
         for (int k = 7; k >= 0; k--) {
             total = of[k] - c * total;
@@ -308,6 +366,9 @@ typedef struct {
     wave here1, here2, here3, here4, end; /* the last at `end_y`, where a step ended that was looked at */
     weights k, b;                         /* of the motion, and of the bristles */
     double taus, end_y;                   /* time constants of the step that `k` is of; nan: none yet */
+    /* of a linear motion: side of its torque; target velocity at a velocity of 0, by velocity, and its growth in the step */
+    torque_side side;
+    double steady, by_v, growth;
 } stages;
 
 /* of a step of no time constants */
@@ -330,12 +391,43 @@ static void set_out(const motor *m, double sign, const real_state *at, double t,
     s->a1 = target(m, sign, at, s->here1, t);
 }
 
+/* Side of the torque of a linear motion that begins: where it is about to turn, the one to which it accelerates. */
+static torque_side side_ahead(const motor *m, const real_state *at, const stages *s)
+{
+    real_state ahead = *at;
+    if (m->sided && fabs(turning(m, at, s->here1)) <= TURNED_V) {
+        ahead.v += copysign(most(TURNED_V * m->K_rad_s_V, fabs(s->a1 - at->v)), s->a1 - at->v);
+    }
+    return side_of(m, &ahead, s->here1);
+}
+
+/* The same of a linear motion, whose one stage is exact. */
+static real_state moved_linearly(const motor *restrict m, double sign, const real_state *restrict at, double t, double h, stages *restrict s)
+{
+    const double tau = m->tau_s;
+    const double x = h / tau;
+    s->side = side_ahead(m, at, s);
+    s->by_v = by_velocity(m, sign, s->side, at->w);
+    s->steady = s->a1 - s->by_v * at->v;
+    s->growth = m->drift != 0.0 ? target(m, sign, at, s->here1, t + h) - s->a1 : 0.0;
+    s->taus = x * (1.0 - s->by_v);
+    s->k = weights_of(s->taus);
+    const weights k = s->k;
+    real_state end = *at;
+    end.v = k.keep * at->v + x * (k.p1 * s->steady + k.p2 * s->growth);
+    end.y = at->y + h * (k.p1 * at->v + x * (k.p2 * s->steady + k.p3 * s->growth));
+    return end;
+}
+
 /* State after `h` s in the direction `sign`, and its further stages. */
 static real_state moved(const motor *restrict m, double sign, const real_state *restrict at, double staged_V, double t, double h, stages *restrict s)
 {
+    if (EXACT && m->linear) {
+        return moved_linearly(m, sign, at, t, h, s);
+    }
     const double tau = m->tau_s;
     const double c = h / tau;
-    if (c != s->taus) {
+    if (!(fabs(c - s->taus) <= ROUNDED * c)) {
         s->k = weights_of(c);
         s->taus = c;
     }
@@ -374,9 +466,12 @@ static real_state moved(const motor *restrict m, double sign, const real_state *
     return in;
 }
 
-/* Largest step in the direction `sign` with a small error, whose first stage is `s`; infinite for a motor without parts. */
+/* Largest step in the direction `sign` with a small error, whose first stage is `s`; infinite for a linear motion. */
 static double longest_step(const motor *m, double sign, const real_state *at, double staged_V, double t_s, const stages *s)
 {
+    if (EXACT && m->linear) {
+        return INFINITY;
+    }
     double longest = INFINITY;
     const double tau = m->tau_s;
     const double speed = fabs(at->v);
@@ -428,7 +523,7 @@ static double margin(const motor *m, double sign, const real_state *at, double s
 {
     const double w = lagged(m, staged_V, at->w, h);
     const wave here = wave_at(m, at->y);
-    const double held = level_at_rest(m, here, t + h) + load_at_rest(m, w, here); /* as in `direction`, to the last bit */
+    const double held = level_at_rest(m, here, t + h) + load_at(m, w, 0.0, here); /* as in `direction`, to the last bit */
     return sign * pull_at_rest(m, w, here) - held;
 }
 
@@ -489,7 +584,7 @@ static void rest(const motor *m, const real_state *at, double staged_V, double t
 /* Ends a step of `h` s, of a motor whose law changes with the torque, where that turns; returns how long it then is. */
 static double until_torque_turns(const motor *m, double sign, const real_state *at, double staged_V, double t_s, double h, step *s)
 {
-    if (m->load_friction == 0.0 && m->no_brake == 0.0) {
+    if (!m->sided) {
         return h;
     }
     double low = 0.0;

@@ -13,8 +13,8 @@
  * |w|/U of the time: the back-EMF in p is (1 - c (1 - |w|/U)) (1 - r) v/K.
  *
  * Between two events an exponential Runge-Kutta method of fourth order (Cox and Matthews, J. Comput. Phys. 176, 2002)
- * takes v and p = y + tau v. It is exact where the right side is constant, as it is for a motor without parts. An event
- * is an edge of the drive, a reversal, a shaft that breaks away from rest, or a torque that turns where a law sees it.
+ * takes v and p = y + tau v. Where the right side is linear in v and time, as it is without parts, one stage is exact. An
+ * event is an edge of the drive, a reversal, a shaft that breaks away from rest, or a torque that turns where a law sees it.
  */
 #ifndef RIG_REAL_MOTOR_H
 #define RIG_REAL_MOTOR_H
@@ -67,6 +67,10 @@ typedef struct {
     REAL_MOTOR_NUMBERS(REAL_MOTOR_FIELD)
     double centre_rad, half_travel_rad, start_s, duration_s;
 } real_motor;
+
+/* Places of the numbers. */
+#define REAL_MOTOR_PLACE(name, of, least, below) AT_##name,
+enum { REAL_MOTOR_NUMBERS(REAL_MOTOR_PLACE) REAL_NUMBERS };
 
 /* Velocity and position of the motor's side of the backlash, friction of the bristles, drive behind its stage, and
  * position of the sensor's side. */

@@ -23,6 +23,7 @@ enum { STAGES = REAL_STAGE_ROWS - 3 };
  *                  come from the state
  * curved           whether the sensor is, or could be: a derivative by its curvature is asked for
  * timed            whether a derivative by when drives act is asked for: delay or lag
+ * drifts           whether friction changes with time, or a derivative by its drift is asked for
  */
 typedef struct {
     const int64_t *which;
@@ -30,7 +31,7 @@ typedef struct {
     int columns, waves, width;
     double *v, *y, *f, *x;
     double *w, *given, *level, *stage[STAGES], *by_stage[STAGES];
-    bool curved, timed;
+    bool curved, timed, drifts;
 } slopes;
 
 /* Derivatives of a right side: of the target velocity by v, y and w, of the bristles' rate by v, y and f. */
@@ -61,46 +62,34 @@ static void level_slopes(const motor *m, double speed, wave at, double t, double
 static const int OF_LEVEL[] = {AT_fc_V, AT_drift, AT_friction_sin_V, AT_friction_cos_V, AT_stribeck_V, AT_stribeck_rad_s};
 enum { LEVELS = sizeof OF_LEVEL / sizeof OF_LEVEL[0] };
 
-/* The sign of the torque that load friction sees, and what the bridge passes of it. */
-typedef struct {
-    double sign;
-    bridge passed;
-} torque_side;
-
-static torque_side side_of(const motor *m, const real_state *at, wave here)
-{
-    return (torque_side){transmitted(m, at->w, at->v, here) > 0.0 ? 1.0 : -1.0, passed(m, at->w, at->v)};
-}
-
-/* Adds to `a` and `by` what load friction, the supply's resistance and the bridge change, where the torque is on a `side`;
- * returns the derivative by the force. */
-static double load_slopes(const motor *m, double sign, torque_side side, const real_state *at, wave here, double *a, by_state *by)
+/* Adds to `a` what load friction, the supply's resistance and the bridge change, where the torque is on a `side`, and puts
+ * the derivative by the drive into `by_w`; returns the one by the force. */
+static double load_slopes(const motor *m, double sign, torque_side side, const real_state *at, wave here, double *a, double *by_w)
 {
     const double gain = m->K_rad_s_V;
     const double w = at->w;
     const double back = back_emf(m, at->v);
     const double pulses = pulse_share(m, w);
-    const double brakes = 1.0 - m->free_between * (1.0 - pulses); /* share of the back-EMF */
+    const double brakes = braking(m, w);
     const double net = net_drive(m, w, at->v);
     const double by_full = pulses < 1.0 ? back * m->free_between / m->full_drive_V : 0.0; /* a change of the share, per V */
     const double by_supply = 1.0 / (1.0 + m->source_per_V2 * w * w);
     const double idle = side.passed.idle;
     const double against = side.passed.against;
-    const double share = idle * against * by_supply;
-    const double seen = transmitted(m, w, at->v, here);
+    const double seen = idle * against * by_supply * net + m->load_outside * force(m, here);
     const double load = side.sign * sign * m->load_friction;
-    const double left = 1.0 - load; /* of a change of the torque */
-    by->aw = gain * left * share * (1.0 - (w > 0.0 ? by_full : -by_full) - 2.0 * m->source_per_V2 * w * net * by_supply);
-    by->av += (1.0 - m->viscous_share) * (1.0 - left * share * brakes);
-    a[AT_K_rad_s_V] += back * (left * share * brakes - 1.0);
-    a[AT_load_friction] = -gain * sign * fabs(seen);
+    const double share = left_of_net(m, sign, side, w);
+    const double passed_on = gain * (1.0 - load) * by_supply * net; /* by a bridge that passes all */
+    *by_w = gain * share * (1.0 - (w > 0.0 ? by_full : -by_full) - 2.0 * m->source_per_V2 * w * net * by_supply);
+    a[AT_K_rad_s_V] += back * (share * brakes - 1.0);
+    a[AT_load_friction] = -gain * sign * side.sign * seen;
     a[AT_load_outside] = -gain * load * force(m, here);
-    a[AT_viscous_share] = at->v * (left * share * brakes - 1.0);
-    a[AT_source_per_V2] = -gain * left * net * w * w * share * by_supply;
-    a[AT_runs_free] = idle != 1.0 ? -gain * left * net * against * by_supply : 0.0;
-    a[AT_no_brake] = against != 1.0 ? -gain * left * net * idle * by_supply : 0.0;
-    a[AT_free_between] = gain * left * share * back * (1.0 - pulses);
-    a[AT_full_drive_V] = gain * left * share * by_full * pulses;
+    a[AT_viscous_share] = at->v * (share * brakes - 1.0);
+    a[AT_source_per_V2] = -gain * share * net * w * w * by_supply;
+    a[AT_runs_free] = idle != 1.0 ? -passed_on * against : 0.0;
+    a[AT_no_brake] = against != 1.0 ? -passed_on * idle : 0.0;
+    a[AT_free_between] = gain * share * back * (1.0 - pulses);
+    a[AT_full_drive_V] = gain * share * by_full * pulses;
     return -gain * (1.0 + load * m->load_outside);
 }
 
@@ -120,9 +109,9 @@ static by_state right_sides(const motor *m, const slopes *d, double sign, torque
     a[AT_bias_V] = gain;
     a[AT_viscous_by_direction_V_s_rad] = -gain * speed;
     a[AT_drag_V_s2_rad2] = -gain * v * speed;
-    by.av = -gain * (m->viscous_by_direction_V_s_rad * sign + 2.0 * m->drag_V_s2_rad2 * speed);
+    by.av = by_velocity(m, sign, side, at->w) - gain * (2.0 * m->drag_V_s2_rad2 * speed);
     if (m->transmits) {
-        by_force = load_slopes(m, sign, side, at, here, a, &by);
+        by_force = load_slopes(m, sign, side, at, here, a, &by.aw);
     }
     if (m->turns) {
         a[AT_force_sin_V] = by_force * here.sine;
@@ -274,9 +263,73 @@ static real_state begin(const motor *m, const slopes *d, const double start[4], 
     return at;
 }
 
+/* Fills a row with the derivatives of `by_velocity`, at velocities of 1 and of 0 those of the target velocity; returns the
+ * one by the drive. `zero` has room for another row. */
+static double velocity_slopes(const motor *m, double sign, torque_side side, const real_state *at, wave here, double *row, double *zero)
+{
+    double by_w[2] = {0.0, 0.0};
+    row[AT_K_rad_s_V] = by_velocity(m, sign, side, at->w) / m->K_rad_s_V;
+    row[AT_viscous_by_direction_V_s_rad] = -m->K_rad_s_V * sign;
+    if (m->transmits) {
+        real_state turning_at = *at;
+        turning_at.v = 1.0;
+        load_slopes(m, sign, side, &turning_at, here, row, &by_w[1]);
+        turning_at.v = 0.0;
+        zero[AT_K_rad_s_V] = 0.0;
+        load_slopes(m, sign, side, &turning_at, here, zero, &by_w[0]);
+        for (int i = AT_load_friction; i <= AT_full_drive_V; i++) {
+            row[i] -= zero[i];
+        }
+    }
+    return by_w[1] - by_w[0];
+}
+
+/* Takes the derivatives of v and y through a step of a linear motion from `at`, at `t`. */
+static void through_linearly(const motor *restrict m, const slopes *d, const real_state *restrict at, const step *restrict now, double t)
+{
+    const stages *const s = &now->in;
+    const weights k = s->k;
+    const double h = now->duration_s;
+    const double v = at->v;
+    const double x = h / m->tau_s;
+    double *const restrict by_v = d->stage[4];
+    const double *const restrict first = d->stage[0];
+    const double *const restrict last = d->drifts ? d->stage[2] : first;
+    const double by_v_w = velocity_slopes(m, now->sign, s->side, at, s->here1, by_v, d->stage[5]);
+    const double by_w = right_sides(m, d, now->sign, s->side, at, s->here1, t, s->a1, 0).aw;
+    if (d->drifts) {
+        right_sides(m, d, now->sign, s->side, at, s->here1, t + h, s->a1 + s->growth, 1);
+    }
+    const double q1 = k.p1 - k.p2; /* derivatives of p1, p2, p3 by -s->taus */
+    const double q2 = k.p2 - 2.0 * k.p3;
+    const double q3 = k.p3 - 3.0 * k.p4;
+    const double v_less = k.keep * v + x * (s->steady * q1 + s->growth * q2); /* of the end, by less of these */
+    const double y_less = h * (q1 * v + x * (s->steady * q2 + s->growth * q3));
+    double *const restrict v_of = d->v;
+    double *const restrict y_of = d->y;
+    for (int i = 0; i < d->columns; i++) {
+        const int64_t p = d->which[i];
+        const double pull = by_v[p] + by_v_w * d->w[p];
+        const double steady = first[p] + by_w * d->w[p] - v * pull;
+        const double growth = last[p] - first[p];
+        const double less = x * pull;
+        const double v0 = v_of[i];
+        v_of[i] = k.keep * v0 + x * (k.p1 * steady + k.p2 * growth) + less * v_less;
+        y_of[i] += h * (k.p1 * v0 + x * (k.p2 * steady + k.p3 * growth)) + less * y_less;
+        if (p == AT_tau_s) {
+            v_of[i] += (s->taus * v_less - x * (k.p1 * s->steady + k.p2 * s->growth)) / m->tau_s;
+            y_of[i] += (s->taus * y_less - h * x * (k.p2 * s->steady + k.p3 * s->growth)) / m->tau_s;
+        }
+    }
+}
+
 /* Takes the derivatives of v, y, f through a step of a motor in motion from `at`, at `t`. */
 static void through(const motor *restrict m, const slopes *d, const real_state *restrict at, const step *restrict now, double t, double staged_V)
 {
+    if (m->linear) {
+        through_linearly(m, d, at, now, t);
+        return;
+    }
     const stages *const s = &now->in;
     const double h = now->duration_s;
     const double tau = m->tau_s;
@@ -449,7 +502,7 @@ static void kick(const motor *m, const slopes *d, const real_state *before, cons
     if (was == 0.0 && at->v == 0.0 && later != 0.0 && m->bristle_V_rad <= 0.0) {
         const wave here = wave_at(m, at->y);
         const double beyond = fabs(pull_at_rest(m, drives_V[1], here)) - level_at_rest(m, here, t) -
-                              load_at_rest(m, drives_V[1], here);
+                              load_at(m, drives_V[1], 0.0, here);
         slower = later * log(fabs(drives_V[1] - drives_V[0]) / beyond);
         slower += copysign(m->K_rad_s_V / m->tau_s * beyond, later);
     }
@@ -498,6 +551,17 @@ static bool asks(const real_columns *c, int64_t from, int64_t to)
     return asked;
 }
 
+/* Whether the derivatives that are asked for are those of a linear motion, too. */
+static bool asks_of_linear(const real_columns *c)
+{
+    bool linear = c->waves == 0;
+    for (int64_t i = 0; i < c->columns; i++) {
+        const int64_t p = c->which[i];
+        linear = linear && (p >= REAL_NUMBERS || p == AT_lag_s || is_linear_in((int)p));
+    }
+    return linear;
+}
+
 static bool is_curved(const motor *m)
 {
     return m->linearity_sin1_rad != 0.0 || m->linearity_cos1_rad != 0.0 || m->linearity_sin2_rad != 0.0 ||
@@ -535,6 +599,7 @@ static slopes room_for(const motor *m, const real_columns *c)
         d.stage[i] = d.level + (i + 1) * d.width;
     }
     d.curved = is_curved(m) || asks(c, AT_linearity_sin1_rad, AT_linearity_cos2_rad);
+    d.drifts = m->drift != 0.0 || asks(c, AT_drift, AT_drift);
     d.timed = asks(c, AT_delay_s, AT_delay_s) || asks(c, AT_lag_s, AT_lag_s);
     return d;
 }
@@ -564,7 +629,9 @@ static int64_t edge_at(const real_record *record, double delay_s, double now)
 
 void real_readings(const real_motor *numbers, const real_record *record, const real_columns *columns, double *y_rad, double *jacobian)
 {
-    const motor own = motor_of(numbers);
+    motor own = motor_of(numbers);
+    own.linear = own.linear && asks_of_linear(columns);
+    own.sided = own.sided || asks(columns, AT_load_friction, AT_load_friction);
     const motor *const m = &own;
     const slopes d = room_for(m, columns);
     const bool sloping = d.columns > 0;

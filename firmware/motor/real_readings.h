@@ -21,8 +21,7 @@ typedef struct {
 
 /* Columns behind those of the motor's numbers: velocity and position at the start of the row's own piece; and sine and
  * cosine of waves of the force over position that the motor has not. */
-#define REAL_MOTOR_PLACE(name, of, least, below) AT_##name,
-enum { REAL_MOTOR_NUMBERS(REAL_MOTOR_PLACE) REAL_NUMBERS, REAL_V0 = REAL_NUMBERS, REAL_Y0, REAL_WAVES };
+enum { REAL_V0 = REAL_NUMBERS, REAL_Y0, REAL_WAVES };
 
 /* which    number of the motor of each column of the Jacobian, REAL_V0, REAL_Y0, or from REAL_WAVES on a wave
  * orders   of the waves, 1/rad
