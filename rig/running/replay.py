@@ -46,7 +46,7 @@ from rig.running.experiment import stages
 from rig.running.experiment.script import BREAKAWAY_LAW, SEARCH_LAW
 from rig.running.experiment.survey import survey, sweep, test_once_more
 from rig.running.experiment.until import drive_until
-from rig.running.preflight.loop_settings import guard_settings_of
+from rig.running.preflight.room_to_stop import guard_settings_of
 from rig.running.session import Findings, Script, Session
 
 Ending = Literal["its end", "a fault", "no end"]

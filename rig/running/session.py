@@ -21,12 +21,13 @@ import numpy as np
 from rig.backends.clock import MonotonicClock, PacedClock
 from rig.backends.driver import Clock
 from rig.backends.emulated.shaft import ShaftPath
-from rig.backends.registry import Bench, backend_of, connect
+from rig.backends.registry import Bench, connect
 from rig.config import Experiment, dump
 from rig.control.breakaway import BreakawayCheck
 from rig.control.excitation import GainSearch, SettledCycle
 from rig.control.guard import Guard
 from rig.control.loop.device_relay import STOPPING
+from rig.control.loop.real_time import RealTimeSettings
 from rig.control.loop.runner import Loop
 from rig.control.loop.stop_request import Gone, StopRequest, stop_on_signals
 from rig.control.rising_gains import RisingGains
@@ -55,7 +56,7 @@ from rig.run_folder.results.identification import Answered
 from rig.run_folder.results.meta import REHEARSAL
 from rig.run_folder.results.part import VERSION, Part
 from rig.running.preflight import notes
-from rig.running.preflight.loop_settings import guard_settings_of
+from rig.running.preflight.room_to_stop import guard_settings_of
 
 FREE_BRIDGES = ("runs_free", "no_brake", "free_between")  # laws
 COASTING = 2.0  # estimated no-load speed over that of the data sheet from which on the bridge is doubted
@@ -201,6 +202,12 @@ class Session:
         self.recorder.event(self.loop.now_s, kind, **fields)
 
 
+def real_time_of(experiment: Experiment) -> RealTimeSettings:
+    """What the loop's process asks the machine for."""
+    wanted = experiment.loop
+    return RealTimeSettings(wanted.priority, wanted.cpu, wanted.lock_memory, wanted.raise_workers)
+
+
 Script = Callable[[Session], None]
 OnStart = Callable[[Path, tuple[str, ...]], None]  # called with the run folder and the first notes
 
@@ -275,8 +282,8 @@ def _begin(
     latched = [_latched(code, tried) for code in info.acknowledged]
     supply = SupplyReading(info.supply_V, info.supply_at_least, drive.supply_V, drive.bridge_drop_V).objection
     stages = _stages(experiment)
-    settings = guard_settings_of(experiment)
     meta = run_meta(experiment, bench, what, started)
+    settings = guard_settings_of(experiment)
     folder = create_run(parent, f"{'rehearsal' if meta.rehearsal else what.name}-{experiment.name}", started)
     no_flag = _set_up_flag(stop, folder)
     for name, text in ((CONFIG, dump(experiment)), (META, json_text(meta))):
@@ -530,8 +537,6 @@ def run_meta(experiment: Experiment, bench: Bench, script: results.ScriptCall, s
     """meta.json of a run that begins on an open bench."""
     info = bench.info
     measures_supply = not math.isnan(info.supply_V)
-    backend = backend_of(experiment.device)
-    watchdog_s = backend.watchdog(experiment.device).time_s
     emulated = experiment.emulated
     is_rehearsal = info.emulated and emulated is not None and emulated.rehearsal is not None
     return results.RunMeta(
@@ -542,7 +547,7 @@ def run_meta(experiment: Experiment, bench: Bench, script: results.ScriptCall, s
         order=bench.driver.order,
         period_s=experiment.period_s,
         drive_units=info.drive_units,
-        times_error_s=backend.times_error_s(experiment.device),
+        times_error_s=bench.times_error_s,
         firmware=results.DeviceSeen.of(
             info,
             supply_V=info.supply_V if measures_supply else None,
@@ -553,8 +558,8 @@ def run_meta(experiment: Experiment, bench: Bench, script: results.ScriptCall, s
             experiment.sensor, calibration_rad=tuple(sorted(rad for _, rad in experiment.sensor.points))
         ),
         failsafe="none: the device holds its last drive"
-        if bench.driver.failsafe is None or watchdog_s is None
-        else f"device watchdog, {watchdog_s * 1e3:.0f} ms",
+        if bench.driver.failsafe is None or bench.watchdog_s is None
+        else f"device watchdog, {bench.watchdog_s * 1e3:.0f} ms",
         started_utc=started.isoformat(timespec="milliseconds"),
         versions={"rig": RIG_VERSION, "python": platform.python_version()},
         host={"system": platform.platform(), "machine": platform.machine()},

@@ -42,7 +42,8 @@ from rig.run_folder.live.stop_flag import StopFlag, request_stop
 from rig.run_folder.live.view import LiveView
 from rig.run_folder.recording.recorder import Recorder
 from rig.run_folder.recording.sink import JsonScalar, NullSink
-from rig.running.preflight.loop_settings import guard_settings_of, real_time_of
+from rig.running.preflight.room_to_stop import guard_settings_of
+from rig.running.session import real_time_of
 from shared.table import markdown
 
 EVERY_S = 0.04
