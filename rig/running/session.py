@@ -183,8 +183,9 @@ class Session:
 
     def write(self, name: str, what: Part) -> None:
         """Write a file of the run, strict JSON. Raises CannotWriteError, also where the folder is not the run's."""
+        text = json_text(what)
         self.require_own_folder()
-        write_whole(self.folder / name, json_text(what), follows_links=False)
+        write_whole(self.folder / name, text, follows_links=False)
 
     def add_to_meta(self, **known: object) -> None:
         """Write keys of meta.json that are known by now. Raises as ``write``."""
@@ -370,12 +371,11 @@ def _loop_notes(loop: Loop) -> list[str]:
 
 
 def _told_pace(session: Session) -> str:
-    """Whether a paced time kept its pace, in words; also into meta.json. Empty for any other time."""
+    """Whether a paced time kept its pace, in words; also in meta.json, written with the result. Else empty."""
     clock = session.bench.clock
     if not isinstance(clock, PacedClock):
         return ""
-    with suppress(RecordingError):  # a full disk has its own words: the result that follows goes there, too
-        session.add_to_meta(time=run_time(session.bench))
+    session.meta = session.meta.model_copy(update={"time": run_time(session.bench)})
     stood = "without a stall"
     if clock.stalls:
         times = "once" if clock.stalls == 1 else f"{clock.stalls} times"
@@ -463,8 +463,10 @@ def _write_result(session: Session, outcome: Outcome) -> None:
     except Exception as error:  # noqa: BLE001 - a result that says why is better than none
         outcome.failures.append(f"the result is incomplete: {_defect(error)}")
         outcome.result = least_result(session, [*session.found.notes, *outcome.failures], outcome.fault)
+    told: dict[str, Part] = {RESULT: outcome.result} | ({META: session.meta} if session.paced else {})
     try:
-        session.write(RESULT, outcome.result)
+        for name, what in told.items():
+            session.write(name, what)
     except RecordingError as error:
         outcome.fail(error)
 
