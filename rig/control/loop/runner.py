@@ -47,7 +47,6 @@ class Loop:
         self, driver: Driver, clock: Clock, guard: Guard, record: RowSink, period_s: float, stop: StopRequest
     ) -> None:
         self.guard = guard
-        guard.pace(period_s)
         self.statistics = LoopStatistics(period_s)
         self._driver = driver
         self._clock = clock
@@ -72,6 +71,7 @@ class Loop:
         self._rows = 0  # of the loop itself
         self.unconfirmed_stops = 0  # stops that the device did not confirm: its watchdog has to stop the drive
         self.latency_s = 0.0  # from sample to effect of the drive, smoothed
+        guard.pace(period_s)
 
     def since_start_s(self, t_s: float) -> float:
         """A time of the clock as run time, s."""
