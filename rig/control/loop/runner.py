@@ -178,6 +178,7 @@ class Loop:
 
         Raises Fault: the driver's, the guard's, the law's, INTERRUPTED, SUSPENDED, RECORDER_DEAD.
         """
+        law = self._as_run(law)
         self._record.event(self.now_s, "stage", name=stage)
         self._write = self._writer(law)
         is_own = isinstance(law, Timed)
@@ -187,6 +188,10 @@ class Loop:
                 self._stop.take_signals()
             if watch is not None:
                 watch(sample.t_s)
+
+    def _as_run(self, law: Law) -> Law:
+        """The law; in a replay with what it asks for."""
+        return law
 
     def _writer(self, law: Law) -> Callable[[float], None]:
         """What sends the law's drives: as pulses where it wants that, and the device ends them by itself."""
@@ -216,6 +221,7 @@ class Loop:
         driver = self._driver
         if not isinstance(driver, RelayDriver):
             raise ValueError(f"no relay in the device behind {self._driver.backend}")
+        law = self._as_run(law)
         self._record.event(self.now_s, "stage", name=stage)
         self._finish_row()
         self.guard.pace(driver.tick_s, max(4.0 * self._period_s, WINDOW_S))
