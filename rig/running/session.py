@@ -291,7 +291,7 @@ def _begin(
         write_whole(folder / name, text, follows_links=False)
     recorder = Recorder(folder, stages, waits=not isinstance(bench.clock, MonotonicClock))
     loop = Loop(bench.driver, bench.clock, Guard(settings), recorder, experiment.period_s, stop)
-    _tell_time(stop, loop, bench.clock)
+    _tell_time(stop, loop, bench.clock, experiment.period_s)
     first_notes = [*no_flag, *info.remarks, *latched, *([] if supply is None else [supply])]
     return Session(experiment, folder, bench, recorder, loop, meta, Findings(notes=first_notes)), recorder
 
@@ -306,12 +306,12 @@ def _set_up_flag(stop: StopRequest, folder: Path) -> list[str]:
     return []
 
 
-def _tell_time(stop: StopRequest, loop: Loop, clock: Clock) -> None:
+def _tell_time(stop: StopRequest, loop: Loop, clock: Clock, period_s: float) -> None:
     """Tell who looks on which time of this machine's clock is the run's time 0. Virtual time has none."""
     zero_s = -loop.since_start_s(0.0) if isinstance(clock, MonotonicClock) else math.nan
     with suppress(OSError):  # on a disk that has just become full the age of a row stays unknown
         if stop.flag is not None:
-            stop.flag.tell(zero_s, loop.statistics.period_s)
+            stop.flag.tell(zero_s, period_s)
 
 
 def _run_script(script: Script, session: Session, on_start: OnStart | None) -> Fault | None:
@@ -585,7 +585,7 @@ def run_time(bench: Bench) -> results.RunTime:
 def run_result(session: Session, fault: Fault | None) -> results.RunResult:
     """result.json of a run that has come to its end or to a fault."""
     experiment, meta, found, own = session.experiment, session.meta, session.found, session.found.identification
-    loop = session.loop.statistics.summary()
+    loop = session.loop.summary()
     link, not_counts = _link_counts(session.bench.driver.link_statistics)
     return results.RunResult(
         version=VERSION,
@@ -624,7 +624,7 @@ def least_result(session: Session, notes: list[str], fault: Fault | None) -> res
         estimates={},
         relays=(),
         tracking={},
-        loop=session.loop.statistics.summary(),
+        loop=session.loop.summary(),
         link={},
         faults=_faults(fault),
         config_notes=(),

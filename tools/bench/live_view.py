@@ -186,7 +186,7 @@ def result(loops: list[Loop]) -> dict[str, Any]:
     """Of both loops, and their ratios."""
     found: dict[str, Any] = {}
     for name, loop in zip(("watched", "alone"), loops, strict=True):
-        told = loop.statistics.summary().as_json()
+        told = loop.summary().as_json()
         found[name] = {"ticks": told["ticks"], "skipped": told["skipped"]} | {part: told[part] for part in PARTS}
     ratios = {
         f"{part.removesuffix('_us')}_p50_ratio": round(found["watched"][part]["p50"] / found["alone"][part]["p50"], 3)

@@ -161,7 +161,7 @@ class Turns:
 
     def result(self) -> dict[str, Any]:
         """Quantiles of each part, ours and of the bare tick, us; the share of ticks skipped."""
-        summary, bare = self.ours.statistics.summary(), self.bare.statistics.summary()
+        summary, bare = self.ours.summary(), self.bare.summary()
         told, peer = summary.as_json(), bare.as_json()
         ran, skipped = self.ours.statistics.ticks, self.ours.statistics.skipped
         return {

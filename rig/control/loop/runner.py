@@ -22,6 +22,7 @@ from rig.core.faults import Fault
 from rig.core.signals import FLAG_SATURATED, FLAG_SKIPPED, Limits, Sample
 from rig.run_folder.live.law_lease import LawLease
 from rig.run_folder.recording.sink import RowSink
+from rig.run_folder.results import LoopResult
 
 _CHECK_EVERY_TICKS = 25
 _ENDS_LAW = ("INTERRUPTED", "LAW_TIME")  # in the middle of its step
@@ -47,7 +48,7 @@ class Loop:
         self, driver: Driver, clock: Clock, guard: Guard, record: RowSink, period_s: float, stop: StopRequest
     ) -> None:
         self.guard = guard
-        self.statistics = LoopStatistics(period_s)
+        self.statistics = LoopStatistics()
         self._driver = driver
         self._clock = clock
         self._record = record
@@ -86,6 +87,10 @@ class Loop:
     def rows(self) -> int:
         """Rows recorded so far, those of a relay in the device too."""
         return self._rows + self._relay.rows
+
+    def summary(self) -> LoopResult:
+        """The loop for result.json."""
+        return self.statistics.summary(self._period_s)
 
     def expect_delay(self, reported_s: float) -> None:
         """Take the delay from a sample to its drive, as the device reports it, s: it may be many ticks."""
