@@ -34,9 +34,10 @@ test: .venv/.ready  ## check, and every test but the long evidence, the firmware
 	    wait $$types || tests=1; cat build/types.txt; exit $$tests
 	$(PYTEST) -m "alone and not evidence" $(call MARKED,alone)
 
-# once, and not in each worker: what the tests load; a test that does not load shows after it
-compiled: .venv/.ready firmware
-	@$(PYTEST) --collect-only -qq -p no:unraisableexception >/dev/null || true
+# once in a clone, and not in each worker: what the tests load; a test that does not load shows after it
+compiled: build/.compiled
+build/.compiled: .venv/.ready | firmware
+	@mkdir -p build; $(PYTEST) --collect-only -qq -p no:unraisableexception >/dev/null || true; touch $@
 
 evidence: .venv/.ready firmware  ## the tests that compute long: full ranges of parameters, matrices, campaigns
 	$(PYTEST) -m "evidence and not (realtime or alone)" -n $$(nproc) $(SHARED)

@@ -36,20 +36,10 @@ def registered() -> dict[str, EntryPoint]:
     return plug_ins.offered(GROUP, "driver", entry_points)
 
 
-def load(name: str) -> type[Driver] | Backend:
-    """The driver class, or the backend, of that name from another package.
+def loaded(entry: EntryPoint) -> Backend:
+    """The backend that the entry point names, or that of its driver class.
 
-    Raises LookupError, with the known names, if there is none; PlugInError as ``loaded``.
-    """
-    known = registered()
-    if name not in known:
-        listed = ", ".join(sorted(known)) or "none is installed"
-        raise LookupError(f"no driver {name!r} in entry point group {GROUP!r}; known: {listed}")
-    return loaded(known[name])
-
-
-def loaded(entry: EntryPoint) -> type[Driver] | Backend:
-    """What the entry point names. Raises PlugInError if it cannot be imported, or is neither driver class nor backend.
+    Raises PlugInError if it cannot be imported, or is neither driver class nor backend.
 
     The constructor of a driver class takes one argument; its methods take as many as those of ``Driver``.
     """
@@ -68,16 +58,15 @@ def loaded(entry: EntryPoint) -> type[Driver] | Backend:
     for method, arguments in _ARGUMENTS.items():
         if not plug_ins.takes(getattr(found, method), 1 + arguments):
             raise PlugInError(f"{who}: {method} must take {arguments or 'no'} argument{'s' * (not arguments)}")
-    return found
+    return _plug_in(who, found)
 
 
-def constructed(entry: EntryPoint, driver_class: type[Driver], settings: DriverSettings) -> Driver:
+def constructed(who: str, driver_class: type[Driver], settings: DriverSettings) -> Driver:
     """A driver of that class, not opened yet.
 
     Raises ValueError where it refuses its options; PlugInError where it fails otherwise, or lacks an attribute of
     ``Driver``.
     """
-    who = described(entry)
     try:
         driver: Driver = driver_class(settings)  # type: ignore[call-arg]
     except ValueError:
@@ -99,11 +88,6 @@ def constructed(entry: EntryPoint, driver_class: type[Driver], settings: DriverS
     return driver
 
 
-def described(entry: EntryPoint) -> str:
-    """A driver in words: its name, where it is, and the package that offers it."""
-    return plug_ins.described(entry, "driver")
-
-
 def driver_settings_of(d: DeviceSetup) -> DriverSettings:
     """What a driver of another package is constructed with."""
     return DriverSettings(
@@ -121,26 +105,24 @@ def driver_settings_of(d: DeviceSetup) -> DriverSettings:
 class PlugIn(Backend):
     """A driver class of another package as a backend; or the reason why it cannot be used.
 
-    entry         entry point that offers it
+    who           it in words: its name, where it is, and the package that offers it
     driver_class  the class; None where it cannot be used
     refusal       why it cannot be used; None where it can
     """
 
     shared_keys = frozenset({"options"})
 
-    def __init__(
-        self, entry: EntryPoint | None = None, driver_class: type[Driver] | None = None, refusal: Problem | None = None
-    ) -> None:
-        self.entry = entry
+    def __init__(self, who: str = "", driver_class: type[Driver] | None = None, refusal: Problem | None = None) -> None:
+        self.who = who
         self.driver_class = driver_class
         self.refusal = refusal
         self._checked: tuple[DeviceSetup, Driver | Problem] | None = None
 
     def construct(self, settings: DriverSettings) -> Driver:
         """A driver, not opened. Raises as ``constructed``; ConfigError where there is none."""
-        if self.entry is None or self.driver_class is None:
+        if self.driver_class is None:
             raise ConfigError([] if self.refusal is None else [self.refusal])
-        return constructed(self.entry, self.driver_class, settings)
+        return constructed(self.who, self.driver_class, settings)
 
     @override
     def foreign_key(self, d: DeviceSetup, key: str, owner: str = "") -> Problem:
@@ -186,12 +168,12 @@ class PlugIn(Backend):
         # `rig check` asks for the rules first: once constructed is enough
         driver = self._checked[1] if self._checked is not None and self._checked[0] == d else self._tried(d)
         self._checked = None
-        if self.entry is not None and not isinstance(driver, Problem):
+        if not isinstance(driver, Problem):
             failsafe = "none"
             if driver.failsafe is not None:
                 failsafe = f"0 V after {driver.failsafe.time_s * 1e3:g} ms of silence"
             order = driver.order.replace("_", " ")
-            yield f"{described(self.entry)}: {order}; failsafe before it is opened: {failsafe}"
+            yield f"{self.who}: {order}; failsafe before it is opened: {failsafe}"
 
     @override
     def failsafe_words(self, d: DeviceSetup) -> str:
@@ -217,17 +199,14 @@ def offered_backend(name: str, built_in: Iterable[str]) -> Backend:
     built_in  names of rig's own devices, for the refusal
     """
     try:
-        found = load(name)
-    except LookupError:
-        return PlugIn(refusal=_unknown(name, built_in))
+        known = registered()
+        return loaded(known[name]) if name in known else PlugIn(refusal=_unknown(name, built_in, sorted(known)))
     except PlugInError as error:
         return PlugIn(refusal=refused(error))
-    return found if isinstance(found, Backend) else _plug_in(registered()[name], found)
 
 
-def _unknown(name: str, built_in: Iterable[str]) -> Problem:
+def _unknown(name: str, built_in: Iterable[str], installed: list[str]) -> Problem:
     """The problem of a driver that is neither built in nor installed."""
-    installed = sorted(registered())
     close = get_close_matches(name, [*built_in, *installed], n=1)
     return wrong(
         "daq.driver",
@@ -238,9 +217,9 @@ def _unknown(name: str, built_in: Iterable[str]) -> Problem:
 
 
 @lru_cache(maxsize=8)
-def _plug_in(entry: EntryPoint, driver_class: type[Driver]) -> PlugIn:
+def _plug_in(who: str, driver_class: type[Driver]) -> PlugIn:
     """The backend of a driver class: one object, so that it knows what it has checked already."""
-    return PlugIn(entry, driver_class)
+    return PlugIn(who, driver_class)
 
 
 def refused(error: PlugInError) -> Problem:

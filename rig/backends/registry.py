@@ -41,6 +41,8 @@ class Bench:
     info           what the device reported when it was opened
     truth          the motor behind an emulated bench; None behind a real one
     shaft          the path of the emulated shaft so far; None where the device does not tell it
+    watchdog_s     silence of the host after which it drives 0 V, as far as the config says, s; None: it has no watchdog
+    times_error_s  error of the recorded time of a drive against that of a sample, at most, s
     """
 
     driver: Driver
@@ -48,6 +50,8 @@ class Bench:
     info: DeviceInfo
     truth: BenchParameters | None
     shaft: Callable[[], ShaftPath] | None = None
+    watchdog_s: float | None = None
+    times_error_s: float = 0.0
 
 
 def backend_of(d: DeviceSetup) -> Backend:
@@ -111,7 +115,9 @@ def connect(d: DeviceSetup) -> Iterator[Bench]:
             elif d.pace not in (None, 1.0):
                 raise Fault("CONFIG_MISMATCH", f"loop.pace is {d.pace:g}, but {_REAL}")
             # only a device that says that it is emulated has a truth to compare with
-            yield Bench(driver, clock, info, truth if info.emulated else None, shaft if info.emulated else None)
+            truth, shaft = truth if info.emulated else None, shaft if info.emulated else None
+            own = backend_of(d)
+            yield Bench(driver, clock, info, truth, shaft, own.watchdog(d).time_s, own.times_error_s(d))
         except Fault as fault:
             fault.fit(d.daq.driver)
             raise

@@ -6,7 +6,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-from rig.control.motion import Gain, Standstill
+from rig.control.motion import Standstill
 from rig.core.faults import Fault
 from rig.core.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, Limits, Sample
 
@@ -93,6 +93,43 @@ class VelocityWindow:
             moment += (t - t_mean) * (y - y_mean)
             spread += (t - t_mean) ** 2
         return moment / spread
+
+
+class Gain:
+    """The speed that a lasting drive has given the shaft. The shaft keeps it while the drive lasts.
+
+    Under a constant drive u above friction the speed tends to K (u - f), monotonically. If it has risen since the
+    drive began, it is still below that value, so it cannot fall again. If friction falls with speed, the value is even
+    higher.
+
+    settling_s     time after the drive's begin that counts as before it, for the delay and the lag of the velocity
+    """
+
+    FALLEN = 0.9  # a drive below this part of its largest is another drive
+
+    def __init__(self, settling_s: float) -> None:
+        self.settling_s = settling_s
+        self.restart()
+
+    def restart(self) -> None:
+        """Another drive begins at the next sample."""
+        self.speed_rad_s = 0.0
+        self._since_s = math.nan
+        self._largest_V = 0.0
+        self._before_rad_s = 0.0
+
+    def step(self, t_s: float, v_rad_s: float, u_V: float) -> float:
+        """Speed in the drive's direction that this drive has given so far, rad/s, >= 0."""
+        along = math.copysign(v_rad_s, v_rad_s * u_V)
+        if abs(u_V) < self.FALLEN * self._largest_V:
+            self.restart()
+        self._largest_V = max(self._largest_V, abs(u_V))
+        if math.isnan(self._since_s):
+            self._since_s = t_s
+        if t_s - self._since_s <= self.settling_s:
+            self._before_rad_s = max(self._before_rad_s, along)
+        self.speed_rad_s = max(self.speed_rad_s, along - self._before_rad_s)
+        return self.speed_rad_s
 
 
 class Guard:

@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import Any, Protocol, TypeVar
 
 from rig.core.motor_numbers import State as RealState
-from rig.model import real_inverse
 from rig.model.motor import Motor, State
+from rig.model.real_inverse import drive_for
 from rig.model.real_motor import PARTS, FramedMotor, moved
 
 # Parts that no drive makes up for: friction of tomorrow; bristles, which bend less than a sensor sees; and a play, in
@@ -106,7 +106,7 @@ class RealKnown:
 
     def position_rad(self, reading_rad: float) -> float:
         """As ``KnownMotor``."""
-        return real_inverse.position(self.motor, self.frame, reading_rad)
+        return self._framed.position(reading_rad)
 
     def at_rest(self, y_rad: float) -> RealState:
         """As ``KnownMotor``."""
@@ -122,7 +122,7 @@ class RealKnown:
 
     def drive_V(self, state: RealState, acceleration_rad_s2: float, direction: float) -> float:
         """As ``KnownMotor``: through the stage, against all forces; of ``direction`` only the sign counts."""
-        return real_inverse.drive_for(self.motor, self.frame, (state.v, state.y), acceleration_rad_s2, direction)
+        return drive_for(self.motor, self.frame, (state.v, state.y), acceleration_rad_s2, direction)
 
 
 def known(motor: Motor | FramedMotor) -> KnownMotor[Any]:

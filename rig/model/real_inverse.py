@@ -1,4 +1,4 @@
-"""The inverse of a real motor: which drive gives a wanted acceleration, and which position a reading means.
+"""The inverse of a real motor: which drive gives a wanted acceleration.
 
 The parts are those of ``rig.model.real_step``. Left out is what has no inverse at an instant: lag, bristles, backlash
 and drift (docs/theory.md 11.4).
@@ -9,12 +9,10 @@ from __future__ import annotations
 import math
 
 from rig.core.motor_numbers import Frame, RealMotor
-from rig.model.real_step import force, level, reading
+from rig.model.real_step import force, level
 
 SOFT_SHARE = 0.1  # of fc: so little drive behind the stage moves no shaft, and the dead band is crossed within it
 STILL_SHARE = 0.03  # of tau: within it a shaft that has broken away leaves the static level behind
-ROUNDS = 40  # of the search for a position, which needs about ten
-CLOSE_RAD = 1e-9
 
 
 def drive_before_stage(m: RealMotor, wanted_V: float) -> float:
@@ -95,16 +93,3 @@ def drive_for(
         back_V = (1.0 - m.viscous_share) * v / m.K_rad_s_V
         wanted_V = drive_for_torque(m, wanted_V - back_V, v, outside_V, direction)
     return drive_before_stage(m, wanted_V)
-
-
-def position(m: RealMotor, frame: Frame, reading_rad: float) -> float:
-    """Position at which the sensor shows ``reading_rad``, rad. Beyond the travel its error stays as at the end."""
-    low, high = frame.centre_rad - frame.half_travel_rad, frame.centre_rad + frame.half_travel_rad
-    x = reading_rad
-    for _ in range(ROUNDS):
-        inside = min(max(x, low), high)
-        new = reading_rad - (reading(m, frame, inside) - inside)
-        if abs(new - x) <= CLOSE_RAD:
-            return new
-        x = new
-    return x

@@ -23,11 +23,12 @@ from rig.model.compiled import real_motion
 from rig.model.compiled.real_motion import Record, Windows
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
-from rig.model.real_inverse import position
 
 CORE = ("tau_s", "K_rad_s_V", "fc_V", "bias_V")  # numbers of every motor
 # A part that is free and at 0 gets this size, in its own unit: so it is integrated as finely as it needs.
 TRACE = 1e-12
+_ROUNDS = 40  # of the search for a position, which needs about ten
+_CLOSE_RAD = 1e-9
 _PLACE = {name: place for place, name in enumerate(RealMotor._fields)}
 _TRACED = {_PLACE[name] for name, number in NUMBERS.items() if number.steers}
 _PLAIN = frozenset(real_motion.PLAIN)
@@ -65,7 +66,19 @@ class FramedMotor:
 
     def positions(self, readings_rad: Array) -> Array:
         """Where the shaft was when the sensor showed these readings, rad: without the sensor's curvature."""
-        return np.array([position(self.motor, self.frame, one) for one in readings_rad.tolist()])
+        return np.array([self.position(one) for one in readings_rad.tolist()])
+
+    def position(self, reading_rad: float) -> float:
+        """Position at which the sensor shows ``reading_rad``, rad. Beyond the travel its error stays as at the end."""
+        centre_rad, half_rad = self.frame.centre_rad, self.frame.half_travel_rad
+        x = reading_rad
+        for _ in range(_ROUNDS):
+            inside = min(max(x, centre_rad - half_rad), centre_rad + half_rad)
+            new = reading_rad - (real_step.reading(self.motor, self.frame, inside) - inside)
+            if abs(new - x) <= _CLOSE_RAD:
+                return new
+            x = new
+        return x
 
     @property
     def plain(self) -> Motor:

@@ -20,7 +20,7 @@ from rig.backends.driver import DeviceInfo
 from rig.backends.registry import Bench, backend_of
 from rig.config.schema import Experiment, Method
 from rig.control.guard import Guard
-from rig.control.law import OwnLaw, Timed
+from rig.control.law import OwnLaw, Timed, named_law
 from rig.control.loop.recorded import RecordedClock, RecordedDriver, ReplayLoop, RowComparison
 from rig.control.loop.replayed_rows import OF_GUARD, Difference, Diverged, RecordEnds, ReplayedRows
 from rig.control.loop.stop_request import StopRequest
@@ -43,10 +43,10 @@ from rig.run_folder.recording.recording import Recording
 from rig.run_folder.recording.writer import EVENTS
 from rig.run_folder.results.reading import DamagedError, parsed
 from rig.running.experiment import stages
-from rig.running.experiment.script import BREAKAWAY_LAW, SEARCH_LAW, configured_law
+from rig.running.experiment.script import BREAKAWAY_LAW, SEARCH_LAW
 from rig.running.experiment.survey import survey, sweep, test_once_more
 from rig.running.experiment.until import drive_until
-from rig.running.preflight.loop_settings import guard_settings_of
+from rig.running.preflight.room_to_stop import guard_settings_of
 from rig.running.session import Findings, Script, Session
 
 Ending = Literal["its end", "a fault", "no end"]
@@ -354,7 +354,7 @@ def _users_law(recording: Recording, what: results.ScriptCall, e: Experiment, ow
             "replay it from Python, with the law made anew: rig.replay(run, law=MyLaw())",
         )
     try:
-        return configured_law(e.law)
+        return Timed(named_law(e.law.name, e.law.options), e.law.duration_s, e.law.name)
     except (LookupError, ValueError, PlugInError) as error:
         raise RecordingError(
             recording.source / CONFIG, f"its law cannot be made: {error}", "install the package that offers it"

@@ -15,7 +15,7 @@ from rig import config
 from rig.backends.servo.models import ServoModel
 from rig.config import ConfigError, Experiment
 from rig.config.schema import LawSection
-from rig.control.laws import TUNED
+from rig.control.law import TUNED
 from rig.control.state_feedback import Loop
 from rig.core.motor_numbers import RealMotor
 from rig.design.tune.margins import Margins

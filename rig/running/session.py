@@ -21,12 +21,13 @@ import numpy as np
 from rig.backends.clock import MonotonicClock, PacedClock
 from rig.backends.driver import Clock
 from rig.backends.emulated.shaft import ShaftPath
-from rig.backends.registry import Bench, backend_of, connect
+from rig.backends.registry import Bench, connect
 from rig.config import Experiment, dump
 from rig.control.breakaway import BreakawayCheck
 from rig.control.excitation import GainSearch, SettledCycle
 from rig.control.guard import Guard
 from rig.control.loop.device_relay import STOPPING
+from rig.control.loop.real_time import RealTimeSettings
 from rig.control.loop.runner import Loop
 from rig.control.loop.stop_request import Gone, StopRequest, stop_on_signals
 from rig.control.rising_gains import RisingGains
@@ -55,7 +56,7 @@ from rig.run_folder.results.identification import Answered
 from rig.run_folder.results.meta import REHEARSAL
 from rig.run_folder.results.part import VERSION, Part
 from rig.running.preflight import notes
-from rig.running.preflight.loop_settings import guard_settings_of
+from rig.running.preflight.room_to_stop import guard_settings_of
 
 FREE_BRIDGES = ("runs_free", "no_brake", "free_between")  # laws
 COASTING = 2.0  # estimated no-load speed over that of the data sheet from which on the bridge is doubted
@@ -182,8 +183,9 @@ class Session:
 
     def write(self, name: str, what: Part) -> None:
         """Write a file of the run, strict JSON. Raises CannotWriteError, also where the folder is not the run's."""
+        text = json_text(what)
         self.require_own_folder()
-        write_whole(self.folder / name, json_text(what), follows_links=False)
+        write_whole(self.folder / name, text, follows_links=False)
 
     def add_to_meta(self, **known: object) -> None:
         """Write keys of meta.json that are known by now. Raises as ``write``."""
@@ -199,6 +201,12 @@ class Session:
     def note(self, kind: str, **fields: JsonScalar) -> None:
         """Write an event, with the time of now."""
         self.recorder.event(self.loop.now_s, kind, **fields)
+
+
+def real_time_of(experiment: Experiment) -> RealTimeSettings:
+    """What the loop's process asks the machine for."""
+    wanted = experiment.loop
+    return RealTimeSettings(wanted.priority, wanted.cpu, wanted.lock_memory, wanted.raise_workers)
 
 
 Script = Callable[[Session], None]
@@ -275,15 +283,15 @@ def _begin(
     latched = [_latched(code, tried) for code in info.acknowledged]
     supply = SupplyReading(info.supply_V, info.supply_at_least, drive.supply_V, drive.bridge_drop_V).objection
     stages = _stages(experiment)
-    settings = guard_settings_of(experiment)
     meta = run_meta(experiment, bench, what, started)
+    settings = guard_settings_of(experiment)
     folder = create_run(parent, f"{'rehearsal' if meta.rehearsal else what.name}-{experiment.name}", started)
     no_flag = _set_up_flag(stop, folder)
     for name, text in ((CONFIG, dump(experiment)), (META, json_text(meta))):
         write_whole(folder / name, text, follows_links=False)
     recorder = Recorder(folder, stages, waits=not isinstance(bench.clock, MonotonicClock))
     loop = Loop(bench.driver, bench.clock, Guard(settings), recorder, experiment.period_s, stop)
-    _tell_time(stop, loop, bench.clock)
+    _tell_time(stop, loop, bench.clock, experiment.period_s)
     first_notes = [*no_flag, *info.remarks, *latched, *([] if supply is None else [supply])]
     return Session(experiment, folder, bench, recorder, loop, meta, Findings(notes=first_notes)), recorder
 
@@ -298,12 +306,12 @@ def _set_up_flag(stop: StopRequest, folder: Path) -> list[str]:
     return []
 
 
-def _tell_time(stop: StopRequest, loop: Loop, clock: Clock) -> None:
+def _tell_time(stop: StopRequest, loop: Loop, clock: Clock, period_s: float) -> None:
     """Tell who looks on which time of this machine's clock is the run's time 0. Virtual time has none."""
     zero_s = -loop.since_start_s(0.0) if isinstance(clock, MonotonicClock) else math.nan
     with suppress(OSError):  # on a disk that has just become full the age of a row stays unknown
         if stop.flag is not None:
-            stop.flag.tell(zero_s, loop.statistics.period_s)
+            stop.flag.tell(zero_s, period_s)
 
 
 def _run_script(script: Script, session: Session, on_start: OnStart | None) -> Fault | None:
@@ -363,12 +371,11 @@ def _loop_notes(loop: Loop) -> list[str]:
 
 
 def _told_pace(session: Session) -> str:
-    """Whether a paced time kept its pace, in words; also into meta.json. Empty for any other time."""
+    """Whether a paced time kept its pace, in words; also in meta.json, written with the result. Else empty."""
     clock = session.bench.clock
     if not isinstance(clock, PacedClock):
         return ""
-    with suppress(RecordingError):  # a full disk has its own words: the result that follows goes there, too
-        session.add_to_meta(time=run_time(session.bench))
+    session.meta = session.meta.model_copy(update={"time": run_time(session.bench)})
     stood = "without a stall"
     if clock.stalls:
         times = "once" if clock.stalls == 1 else f"{clock.stalls} times"
@@ -456,8 +463,10 @@ def _write_result(session: Session, outcome: Outcome) -> None:
     except Exception as error:  # noqa: BLE001 - a result that says why is better than none
         outcome.failures.append(f"the result is incomplete: {_defect(error)}")
         outcome.result = least_result(session, [*session.found.notes, *outcome.failures], outcome.fault)
+    told: dict[str, Part] = {RESULT: outcome.result} | ({META: session.meta} if session.paced else {})
     try:
-        session.write(RESULT, outcome.result)
+        for name, what in told.items():
+            session.write(name, what)
     except RecordingError as error:
         outcome.fail(error)
 
@@ -530,8 +539,6 @@ def run_meta(experiment: Experiment, bench: Bench, script: results.ScriptCall, s
     """meta.json of a run that begins on an open bench."""
     info = bench.info
     measures_supply = not math.isnan(info.supply_V)
-    backend = backend_of(experiment.device)
-    watchdog_s = backend.watchdog(experiment.device).time_s
     emulated = experiment.emulated
     is_rehearsal = info.emulated and emulated is not None and emulated.rehearsal is not None
     return results.RunMeta(
@@ -542,7 +549,7 @@ def run_meta(experiment: Experiment, bench: Bench, script: results.ScriptCall, s
         order=bench.driver.order,
         period_s=experiment.period_s,
         drive_units=info.drive_units,
-        times_error_s=backend.times_error_s(experiment.device),
+        times_error_s=bench.times_error_s,
         firmware=results.DeviceSeen.of(
             info,
             supply_V=info.supply_V if measures_supply else None,
@@ -553,8 +560,8 @@ def run_meta(experiment: Experiment, bench: Bench, script: results.ScriptCall, s
             experiment.sensor, calibration_rad=tuple(sorted(rad for _, rad in experiment.sensor.points))
         ),
         failsafe="none: the device holds its last drive"
-        if bench.driver.failsafe is None or watchdog_s is None
-        else f"device watchdog, {watchdog_s * 1e3:.0f} ms",
+        if bench.driver.failsafe is None or bench.watchdog_s is None
+        else f"device watchdog, {bench.watchdog_s * 1e3:.0f} ms",
         started_utc=started.isoformat(timespec="milliseconds"),
         versions={"rig": RIG_VERSION, "python": platform.python_version()},
         host={"system": platform.platform(), "machine": platform.machine()},
@@ -578,7 +585,7 @@ def run_time(bench: Bench) -> results.RunTime:
 def run_result(session: Session, fault: Fault | None) -> results.RunResult:
     """result.json of a run that has come to its end or to a fault."""
     experiment, meta, found, own = session.experiment, session.meta, session.found, session.found.identification
-    loop = session.loop.statistics.summary()
+    loop = session.loop.summary()
     link, not_counts = _link_counts(session.bench.driver.link_statistics)
     return results.RunResult(
         version=VERSION,
@@ -617,7 +624,7 @@ def least_result(session: Session, notes: list[str], fault: Fault | None) -> res
         estimates={},
         relays=(),
         tracking={},
-        loop=session.loop.statistics.summary(),
+        loop=session.loop.summary(),
         link={},
         faults=_faults(fault),
         config_notes=(),

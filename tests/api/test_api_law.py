@@ -13,7 +13,7 @@ from command_line import rig as command
 from own_laws import Spring, Stumbles
 
 import rig
-from rig.control import laws
+from rig.control import law
 from rig.core.signals import FLAG_GUARD_CLIPPED, Sample
 
 
@@ -22,8 +22,8 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> None:
     """The laws of own_laws.py, as a package would offer them."""
     values = {"spring": "own_laws:Spring", "stumbles": "own_laws:Stumbles", "holds": "own_laws:Holds"}
     values |= {"no-law": "own_laws:NO_LAW", "gone": "x:Y"}
-    entries = [EntryPoint(name, value, laws.GROUP) for name, value in values.items()]
-    monkeypatch.setattr(laws, "entry_points", lambda group: [e for e in entries if e.group == group])
+    entries = [EntryPoint(name, value, law.GROUP) for name, value in values.items()]
+    monkeypatch.setattr(law, "entry_points", lambda group: [e for e in entries if e.group == group])
 
 
 def with_law(folder: Path, **law: object) -> Path:
@@ -148,7 +148,7 @@ def test_runs_may_be_repeated_and_a_replay_needs_the_law(tmp_path: Path, monkeyp
     result = command("run", path, "--repeat", 2, "--out", tmp_path / "runs", "--json")
     assert result.exit_code == 0, result.output
     folder = Path(json.loads(result.stdout)["runs"][1]["folder"])
-    monkeypatch.setattr(laws, "entry_points", lambda group: [])
+    monkeypatch.setattr(law, "entry_points", lambda group: [])
     refused = command("replay", folder)
     assert refused.exit_code == 2
     assert "no law 'spring'" in refused.stderr and "install the package" in refused.stderr

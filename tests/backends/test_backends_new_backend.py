@@ -160,11 +160,10 @@ def test_a_run_opens_it(tmp_path: Path) -> None:
     assert "tau" in done.stdout
 
 
-def test_one_that_calls_itself_otherwise_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_one_that_calls_itself_otherwise_is_refused() -> None:
     entry = EntryPoint("other", f"{__name__}:SCOPE", plug_in.GROUP)
-    monkeypatch.setattr(plug_in, "entry_points", lambda group: [entry])
     with pytest.raises(PlugInError, match="its name must be 'other', not 'scope'"):
-        plug_in.load("other")
+        plug_in.loaded(entry)
 
 
 def test_no_name_of_a_driver_is_compared_in_rig() -> None:

@@ -32,23 +32,13 @@ def construct(name: str, settings: DriverSettings) -> Driver:
 def test_a_driver_is_found_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     offer(monkeypatch, ("mycard", "plug_in_cards:VirtualCard"))
     assert list(plug_in.registered()) == ["mycard"]
-    assert plug_in.load("mycard") is VirtualCard
     assert type(construct("mycard", settings())) is VirtualCard
-
-
-def test_an_unknown_name_lists_what_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    offer(monkeypatch, ("b", "x:B"), ("a", "x:A"))
-    with pytest.raises(LookupError, match="known: a, b"):
-        plug_in.load("c")
-    offer(monkeypatch)
-    with pytest.raises(LookupError, match="none is installed"):
-        plug_in.load("c")
 
 
 def test_two_packages_with_one_name(monkeypatch: pytest.MonkeyPatch) -> None:
     offer(monkeypatch, ("a", "x:A"), ("a", "y:A"))
     with pytest.raises(PlugInError, match="x:A and y:A"):
-        plug_in.load("a")
+        plug_in.registered()
 
 
 @pytest.mark.parametrize(
@@ -66,7 +56,7 @@ def test_two_packages_with_one_name(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_is_no_driver_class_is_refused(monkeypatch: pytest.MonkeyPatch, value: str, why: str) -> None:
     offer(monkeypatch, ("it", value))
     with pytest.raises(PlugInError, match=f"driver 'it' \\({value}\\).*{why}"):
-        plug_in.load("it")
+        plug_in.loaded(plug_in.registered()["it"])
 
 
 @pytest.mark.parametrize(
@@ -120,7 +110,7 @@ def test_a_package_that_is_installed_while_a_program_runs_is_found(
     install("first")
     assert "first" in plug_in.registered() and "second" not in plug_in.registered()
     install("second")
-    assert plug_in.load("second") is VirtualCard
+    assert type(construct("second", settings())) is VirtualCard
 
 
 def test_a_bench_is_stopped_before_it_is_closed_and_closed_though_the_stop_fails(

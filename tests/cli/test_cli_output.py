@@ -168,7 +168,7 @@ def test_a_missing_port_is_said_before_anything_is_loaded_opened_or_waited_for(t
         "numpy",
         "scipy",
         "serial",
-        "rig.running.preflight.loop_settings",
+        "rig.control.loop.real_time",
         "rig.backends.links.serial_port",
         "rig.running.experiment",
         "rig.control.loop.runner",

@@ -25,9 +25,14 @@ from rig.backends.modbus.section import tcp_address
 from rig.backends.registry import backend_of
 from rig.config import Experiment, load
 from rig.running.preflight import notes, preflight
-from rig.running.preflight.loop_settings import guard_settings_of
 from rig.running.preflight.plan import plan
-from rig.running.preflight.room_to_stop import device_watchdog_s, reaction_periods, stopping_rad, stopping_terms
+from rig.running.preflight.room_to_stop import (
+    device_watchdog_s,
+    guard_settings_of,
+    reaction_periods,
+    stopping_rad,
+    stopping_terms,
+)
 
 CONFIG = Path(__file__).parents[2] / "config" / "modbus-rtu.yaml"
 SECTION = "daq.modbus.registers."

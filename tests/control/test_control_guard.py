@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, simulated_bench
 
 from rig.backends.simulated.driver import SimulatedLatency
-from rig.control.guard import Guard, VelocityWindow
+from rig.control.guard import Gain, Guard, VelocityWindow
 from rig.control.law import Constant, Timed
 from rig.control.relay import DualChannelRelay
 from rig.core.faults import Fault
@@ -361,3 +361,23 @@ def test_what_is_too_fast_without_a_gap_is_a_fault_at_once() -> None:
     with pytest.raises(Fault, match="OVERSPEED"):
         for k in range(6):
             guard.allow(reading(0.01 * k, -0.5 + 0.075 * k), 0.0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.floats(0.05, 0.6),
+    st.floats(0.5, 12.0),
+    st.floats(-6.0, 6.0),
+    st.lists(st.floats(0.71, 3.0), min_size=1, max_size=4),
+)
+def test_a_drive_never_takes_back_a_quarter_of_the_speed_that_it_gave(
+    tau_s: float, K: float, v_rad_s: float, drives_V: list[float]
+) -> None:
+    """Any motor, any speed at the start, any row of drives more than 1.4 times its friction of 0.5 V."""
+    gain = Gain(0.06)
+    for k in range(200):
+        u_V = drives_V[min(k // 50, len(drives_V) - 1)]
+        friction_V = math.copysign(0.5, v_rad_s) if v_rad_s else 0.5
+        given_rad_s = gain.step(0.01 * k, v_rad_s, u_V)
+        assert given_rad_s == 0.0 or v_rad_s >= 0.7 * given_rad_s
+        v_rad_s += 0.01 / tau_s * (K * (u_V - friction_V) - v_rad_s)

@@ -349,7 +349,7 @@ def test_the_loop_records_every_tick_with_the_laws_own_integral() -> None:
     assert [row["z_rad_s"] for row in rows] == pytest.approx(z_rad_s, abs=drift + 1e-4)
     assert bench.detector.settled and bench.detector.mean()[1] == pytest.approx(0.43, rel=0.1)
     assert {round(abs(row["u_V"]), 3) for row in rows} == {1.247, 0.451}
-    summary = bench.loop.statistics.summary().as_json()
+    summary = bench.loop.summary().as_json()
     assert summary["skipped"] == 0
     assert summary["device"] == {"period_s": bench.driver.tick_s, "ticks": len(rows), "missed": 0}
     assert bench.board.truth().pin_V == 0.0

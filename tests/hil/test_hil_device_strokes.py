@@ -102,7 +102,7 @@ def test_the_loop_records_every_tick_and_the_laws_agree() -> None:
     assert all(row["flags"] == 0 for row in rows) and bench.strokes.ended > 6
     assert (bench.record.rows[-1]["stage"], bench.record.rows[-1]["u_V"]) == ("rest", 0.0)
     assert bench.board.truth().pin_V == 0.0
-    told: dict[str, Any] = bench.loop.statistics.summary().as_json()
+    told: dict[str, Any] = bench.loop.summary().as_json()
     assert told["device"]["ticks"] == len(rows)
 
 

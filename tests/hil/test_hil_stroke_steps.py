@@ -31,7 +31,7 @@ from rig.core.faults import Fault
 from rig.core.signals import FLAG_GUARD_CLIPPED, Limits, Sample
 from rig.running.experiment.stages import breakaway_check
 from rig.running.preflight.breakaway_strokes import breakaway_strokes, has_strokes
-from rig.running.preflight.loop_settings import guard_settings_of
+from rig.running.preflight.room_to_stop import guard_settings_of
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 SENSORS = {"potentiometer": CONFIG / "demo-chip.yaml", "encoder": CONFIG / "encoder.yaml"}

@@ -1,4 +1,4 @@
-"""The inverse of a real motor, against the motor itself."""
+"""The inverse of a real motor, and of its sensor, against the motor itself."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from rig.core.motor_numbers import Frame, RealMotor, State
 from rig.model import real_step
-from rig.model.real_inverse import SOFT_SHARE, drive_before_stage, drive_for, position
+from rig.model.real_inverse import SOFT_SHARE, drive_before_stage, drive_for
+from rig.model.real_motor import FramedMotor
 from rig.model.real_step import reading
 from shared.physics import level_at_rest, staged, target
 
@@ -98,9 +99,9 @@ def test_a_shaft_that_stands_gets_more_than_what_holds_it(m: RealMotor, y: float
 @given(st.floats(-0.02, 0.02), st.floats(-0.02, 0.02), st.floats(-0.5, 0.7))
 def test_a_reading_means_the_position_that_shows_it(sine: float, cosine: float, x: float) -> None:
     m = RealMotor(0.17, 6.5, 0.48, linearity_sin1_rad=sine, linearity_cos2_rad=cosine)
-    assert position(m, FRAME, reading(m, FRAME, x)) == pytest.approx(x, abs=1e-8)
+    assert FramedMotor(m, FRAME).position(reading(m, FRAME, x)) == pytest.approx(x, abs=1e-8)
 
 
 def test_beyond_the_travel_the_sensors_error_stays_as_at_its_end() -> None:
     m = RealMotor(0.17, 6.5, 0.48, linearity_cos1_rad=0.02)
-    assert position(m, FRAME, 1.5) == pytest.approx(1.52, abs=1e-6)
+    assert FramedMotor(m, FRAME).position(1.5) == pytest.approx(1.52, abs=1e-6)

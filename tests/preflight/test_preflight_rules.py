@@ -23,8 +23,13 @@ from rig.core.signals import BenchDelay
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
 from rig.running.preflight import check, preflight
-from rig.running.preflight.loop_settings import guard_settings_of
-from rig.running.preflight.room_to_stop import counted_delay_s, room_for_delay_s, stopping_rad, watchdog_words
+from rig.running.preflight.room_to_stop import (
+    counted_delay_s,
+    guard_settings_of,
+    room_for_delay_s,
+    stopping_rad,
+    watchdog_words,
+)
 
 pytestmark = pytest.mark.long
 

@@ -21,7 +21,7 @@ from rig.core.faults import Fault
 from rig.core.signals import FLAG_GUARD_BRAKED, FLAG_SATURATED, FLAG_SKIPPED
 from rig.run_folder.recording.reader import read_run
 from rig.run_folder.results.event import Decided
-from rig.running.preflight.loop_settings import guard_settings_of
+from rig.running.preflight.room_to_stop import guard_settings_of
 from rig.running.replay import _advice, replay
 
 RELAYS = {"simulated": "relay-2", "host-board": "relay-1", "chip": "relay-1", "modbus": "relay-1"}

@@ -7,6 +7,7 @@ import re
 import sys
 from collections import Counter
 from functools import cache
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,7 @@ from mutants.functions import name_at, spans
 from mutants.mutant import AnchorError, Mutant
 from mutants.named import all_named
 from mutants.page import render
-from mutants.rooms import EQUIVALENT
+from mutants.rooms import EQUIVALENT, ROOMS
 from mutants.sampled import Room, draw
 from mutants.session import Result, Session, State
 from mutants.workshop import Limits, Workshop
@@ -39,6 +40,12 @@ def test_each_named_mutant_changes_its_function_and_no_two_are_called_alike() ->
         assert mutant.applied_in(ROOT) != (ROOT / mutant.path).read_text(encoding="utf-8")
     assert [name for name, times in Counter(m.name for m in all_named()).items() if times > 1] == []
     assert len(all_named()) >= 40
+
+
+def test_a_room_has_the_modules_and_the_tests_that_it_names() -> None:
+    named_files = [ROOT / room.folder / f"{name}.py" for room in ROOMS for name in room.own]
+    tests = [ROOT / test for room in ROOMS for test in (*room.tests, *chain.from_iterable(room.own.values()))]
+    assert [path for path in named_files + tests if not path.exists()] == []
 
 
 def test_a_data_file_is_refused_by_file_and_line_for_a_key_that_nobody_knows_and_a_value_that_is_no_text(

@@ -42,7 +42,8 @@ from rig.run_folder.live.stop_flag import StopFlag, request_stop
 from rig.run_folder.live.view import LiveView
 from rig.run_folder.recording.recorder import Recorder
 from rig.run_folder.recording.sink import JsonScalar, NullSink
-from rig.running.preflight.loop_settings import guard_settings_of, real_time_of
+from rig.running.preflight.room_to_stop import guard_settings_of
+from rig.running.session import real_time_of
 from shared.table import markdown
 
 EVERY_S = 0.04
@@ -185,7 +186,7 @@ def result(loops: list[Loop]) -> dict[str, Any]:
     """Of both loops, and their ratios."""
     found: dict[str, Any] = {}
     for name, loop in zip(("watched", "alone"), loops, strict=True):
-        told = loop.statistics.summary().as_json()
+        told = loop.summary().as_json()
         found[name] = {"ticks": told["ticks"], "skipped": told["skipped"]} | {part: told[part] for part in PARTS}
     ratios = {
         f"{part.removesuffix('_us')}_p50_ratio": round(found["watched"][part]["p50"] / found["alone"][part]["p50"], 3)

@@ -42,7 +42,8 @@ from rig.run_folder.live.stop_flag import StopFlag
 from rig.run_folder.recording.recorder import Recorder
 from rig.run_folder.recording.sink import NullSink
 from rig.run_folder.results.result import LoopResult
-from rig.running.preflight.loop_settings import guard_settings_of, real_time_of
+from rig.running.preflight.room_to_stop import guard_settings_of
+from rig.running.session import real_time_of
 from shared.table import markdown
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -160,7 +161,7 @@ class Turns:
 
     def result(self) -> dict[str, Any]:
         """Quantiles of each part, ours and of the bare tick, us; the share of ticks skipped."""
-        summary, bare = self.ours.statistics.summary(), self.bare.statistics.summary()
+        summary, bare = self.ours.summary(), self.bare.summary()
         told, peer = summary.as_json(), bare.as_json()
         ran, skipped = self.ours.statistics.ticks, self.ours.statistics.skipped
         return {

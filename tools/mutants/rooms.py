@@ -17,7 +17,7 @@ ROOMS = (
         24,
         ("tests/control", "tests/loop"),
         {
-            "laws": ("tests/api/test_api_law.py",),
+            "law": ("tests/control/test_control_law.py", "tests/api/test_api_law.py"),
             "leased_jog": ("tests/control/test_control_leased_jog.py",),
         },
     ),
@@ -55,8 +55,8 @@ ROOMS = (
         7,
         ("tests/backends/serial", "tests/hil/test_hil_device_relay.py", "tests/hil/test_hil_driver.py"),
         {
-            "relay_stream": ("tests/hil/test_hil_device_relay.py",),
-            "device_relay": ("tests/hil/test_hil_device_relay.py",),
+            "law_run": ("tests/hil/test_hil_device_relay.py",),
+            "firmware_laws": ("tests/hil/test_hil_device_relay.py",),
             **dict.fromkeys(("introduction", "exchange", "fit"), ("tests/backends/serial/test_serial_driver.py",)),
         },
     ),
@@ -78,7 +78,12 @@ ROOMS = (
         ("tests/loop",),
         {"driver": ("tests/loop/test_loop_runner.py", "tests/loop/test_loop_order.py")},
     ),
-    Room("rig/run_folder/recording", 10, ("tests/recording",), {"writer": _FILES, "layout": _FILES, "columns": _FILES}),
+    Room(
+        "rig/run_folder/recording",
+        10,
+        ("tests/recording",),
+        {"writer": _FILES, "layout": _FILES, "sample_columns": _FILES},
+    ),
 )
 
 # name of a mutant: why what it does is what the code does

@@ -20,7 +20,7 @@ from rig.identification import IdentifyError
 from rig.run_folder.recording.recording import Recording, assembled
 from rig.run_folder.recording.sink import NullSink, Row
 from rig.run_folder.results import RealTimeReport, RunEvent, RunMeta
-from rig.running.preflight.loop_settings import guard_settings_of
+from rig.running.preflight.room_to_stop import guard_settings_of
 from rig.running.session import Findings, Session
 
 NAMES = ("t_s", "t_u_s", "y_rad", "u_V", "z_rad_s", "stage")

@@ -315,22 +315,8 @@ class ReplayLoop(Loop):
 
     replayed: ReplayedRows
 
-    def run(self, law: Law, stage: str, watch: Callable[[float], None] | None = None) -> None:
-        """As ``Loop.run``."""
-        super().run(_AskedDrive(law, self.replayed), stage, watch)
-
-    def run_in_device(
-        self,
-        law: Law,
-        command: RelayCommand | StrokesCommand,
-        stage: str,
-        watch: Callable[[float], None] | None = None,
-        *,
-        guard_ends_run: bool = True,
-    ) -> None:
-        """As ``Loop.run_in_device``."""
-        asked = _AskedDrive(law, self.replayed)
-        super().run_in_device(asked, command, stage, watch, guard_ends_run=guard_ends_run)
+    def _as_run(self, law: Law) -> Law:
+        return _AskedDrive(law, self.replayed)
 
     def _record_last_rows(self) -> None:
         """Record none: a replay ends where the loop gives up."""

@@ -22,6 +22,7 @@ from rig.core.faults import Fault
 from rig.core.signals import FLAG_SATURATED, FLAG_SKIPPED, Limits, Sample
 from rig.run_folder.live.law_lease import LawLease
 from rig.run_folder.recording.sink import RowSink
+from rig.run_folder.results import LoopResult
 
 _CHECK_EVERY_TICKS = 25
 _ENDS_LAW = ("INTERRUPTED", "LAW_TIME")  # in the middle of its step
@@ -47,8 +48,7 @@ class Loop:
         self, driver: Driver, clock: Clock, guard: Guard, record: RowSink, period_s: float, stop: StopRequest
     ) -> None:
         self.guard = guard
-        guard.pace(period_s)
-        self.statistics = LoopStatistics(period_s)
+        self.statistics = LoopStatistics()
         self._driver = driver
         self._clock = clock
         self._record = record
@@ -72,6 +72,7 @@ class Loop:
         self._rows = 0  # of the loop itself
         self.unconfirmed_stops = 0  # stops that the device did not confirm: its watchdog has to stop the drive
         self.latency_s = 0.0  # from sample to effect of the drive, smoothed
+        guard.pace(period_s)
 
     def since_start_s(self, t_s: float) -> float:
         """A time of the clock as run time, s."""
@@ -86,6 +87,10 @@ class Loop:
     def rows(self) -> int:
         """Rows recorded so far, those of a relay in the device too."""
         return self._rows + self._relay.rows
+
+    def summary(self) -> LoopResult:
+        """The loop for result.json."""
+        return self.statistics.summary(self._period_s)
 
     def expect_delay(self, reported_s: float) -> None:
         """Take the delay from a sample to its drive, as the device reports it, s: it may be many ticks."""
@@ -178,6 +183,7 @@ class Loop:
 
         Raises Fault: the driver's, the guard's, the law's, INTERRUPTED, SUSPENDED, RECORDER_DEAD.
         """
+        law = self._as_run(law)
         self._record.event(self.now_s, "stage", name=stage)
         self._write = self._writer(law)
         is_own = isinstance(law, Timed)
@@ -187,6 +193,10 @@ class Loop:
                 self._stop.take_signals()
             if watch is not None:
                 watch(sample.t_s)
+
+    def _as_run(self, law: Law) -> Law:
+        """The law; in a replay with what it asks for."""
+        return law
 
     def _writer(self, law: Law) -> Callable[[float], None]:
         """What sends the law's drives: as pulses where it wants that, and the device ends them by itself."""
@@ -216,6 +226,7 @@ class Loop:
         driver = self._driver
         if not isinstance(driver, RelayDriver):
             raise ValueError(f"no relay in the device behind {self._driver.backend}")
+        law = self._as_run(law)
         self._record.event(self.now_s, "stage", name=stage)
         self._finish_row()
         self.guard.pace(driver.tick_s, max(4.0 * self._period_s, WINDOW_S))

@@ -44,8 +44,7 @@ class Times:
 class LoopStatistics:
     """Collects the times of every tick, us, and counts the skipped ticks."""
 
-    def __init__(self, period_s: float) -> None:
-        self.period_s = period_s
+    def __init__(self) -> None:
         self.skipped = 0
         self.device_ticks = 0  # ticks of a relay in the device that were recorded
         self.device_missed = 0  # ticks that it missed
@@ -78,11 +77,12 @@ class LoopStatistics:
         self.device_missed += missed
         self.device_tick_s = tick_s
 
-    def summary(self) -> LoopResult:
-        """The loop for result.json; with ``device`` if a relay in the device has run."""
+    def summary(self, period_s: float) -> LoopResult:
+        """The loop of this period for result.json; with ``device`` if a relay in the device has run."""
         device = DeviceLoop(period_s=self.device_tick_s, ticks=self.device_ticks, missed=self.device_missed)
         return LoopResult.of(
             self,
+            period_s=period_s,
             late_us=self._late.quantiles(),
             io_us=self._io.quantiles(),
             compute_us=self._compute.quantiles(),

@@ -22,7 +22,7 @@ from rig.run_folder.recording.sink import NullSink
 from rig.running.calibrate import dialogue
 from rig.running.experiment import zero
 from rig.running.experiment.script import run_breakaway
-from rig.running.preflight.loop_settings import guard_settings_of
+from rig.running.preflight.room_to_stop import guard_settings_of
 
 _SAMPLES = 30
 _LOOK_S = 0.2  # before a hold, at 0 V

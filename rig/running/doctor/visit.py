@@ -23,8 +23,8 @@ from rig.core.faults import Fault, since_the_last_run
 from rig.core.signals import percent
 from rig.running.doctor import machine
 from rig.running.doctor.finding import Finding, bad, good, note, poor
-from rig.running.preflight.loop_settings import real_time_of
 from rig.running.preflight.room_to_stop import watchdog_words
+from rig.running.session import real_time_of
 
 _SLOWER, _MACHINES_S = 1.2, 0.5e-3  # a round trip may exceed its sum by this factor plus this time
 _LATE_SHARE = 0.1  # of the period: wake-ups later than that show in the recording

@@ -9,9 +9,7 @@ from pathlib import Path
 
 from rig.backends.registry import Bench, backend_of, connect
 from rig.config import Experiment
-from rig.config.schema import LawSection
-from rig.control.law import Timed
-from rig.control.laws import construct
+from rig.control.law import Timed, named_law
 from rig.control.loop.stop_request import Gone
 from rig.control.sweep_plan import TooShortError
 from rig.core.faults import Fault
@@ -46,8 +44,9 @@ def run(
     known     with `relay.until`: the motor, as far as an earlier run knows it
     series    as of ``record``
     """
-    if experiment.law is not None:
-        what, script = _under(configured_law(experiment.law))
+    law = experiment.law
+    if law is not None:
+        what, script = _under(Timed(named_law(law.name, law.options), law.duration_s, law.name))
     else:
         more = [tell_apart] if experiment.identify.thorough else []
         script = _in_turn(partial(_drive_tests, known=known), stages.identify_recorded, *more, stages.verify_models)
@@ -68,11 +67,6 @@ def _under(law: Timed) -> tuple[ScriptCall, Script]:
             stages.drive_law(session, one)
 
     return ScriptCall(name="law", breakaway=BREAKAWAY_LAW, law=law.name, duration_s=law.duration_s), script
-
-
-def configured_law(section: LawSection) -> Timed:
-    """The law that the section `law` of a config names, made anew. Raises as ``rig.control.laws.construct``."""
-    return Timed(construct(section.name, section.options), section.duration_s, section.name)
 
 
 def repeated(

@@ -49,9 +49,15 @@ from rig.run_folder.results.answer_words import beyond_drive
 from rig.run_folder.results.result import NO_ESTIMATE
 from rig.running.experiment.which_way import strokes_move_against
 from rig.running.preflight.breakaway_strokes import FRICTION_DIFFERS, breakaway_strokes
-from rig.running.preflight.loop_settings import guard_settings_of, real_time_of
-from rig.running.preflight.room_to_stop import counted_delay_s, expected_delay_s, reach_rad, room_for_delay_s, swing_rad
-from rig.running.session import FADE_S, Session, beside_data_sheet
+from rig.running.preflight.room_to_stop import (
+    counted_delay_s,
+    expected_delay_s,
+    guard_settings_of,
+    reach_rad,
+    room_for_delay_s,
+    swing_rad,
+)
+from rig.running.session import FADE_S, Session, beside_data_sheet, real_time_of
 
 REST_S = 0.7
 FLICKERS_LSB = 0.7  # noise of a reading that, in 30 samples at rest, stays the same less often than once in 10^5

@@ -19,7 +19,7 @@ from rig.core.signals import Limits, Sample
 from rig.run_folder.live.running import told
 from rig.run_folder.live.stop_flag import StopFlag
 from rig.run_folder.recording.sink import NullSink
-from rig.running.preflight.loop_settings import guard_settings_of
+from rig.running.preflight.room_to_stop import guard_settings_of
 
 _BACK_RAD = 0.2  # from the switch, before it is driven to once more
 _ROOM = 1.2  # of the travel between the hard limits: where no switch opens within it, there is none

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from rig.backends.registry import backend_of
 from rig.config.problems import bracketed
 from rig.config.schema import DeadBand, DeviceSetup, Experiment
-from rig.control.laws import OWN
+from rig.control.law import OWN
 from rig.control.sweep_plan import TooShortError
 from rig.core.motor_numbers import RealMotor
 from rig.core.signals import percent

@@ -1,5 +1,7 @@
 """How far the shaft travels until it stops, and the room for it: arithmetic on the config (docs/theory.md 10.2, 13.2).
 
+The guard counts on the same sums: ``guard_settings_of``.
+
 ``d`` is the setup of a device, ``e`` an experiment throughout; positions count from 0 rad, the centre of travel.
 """
 
@@ -9,6 +11,7 @@ import math
 
 from rig.backends.registry import backend_of
 from rig.config.schema import DeviceSetup, Experiment
+from rig.control.guard import GuardSettings
 from rig.control.sweep_plan import COUNTS_1_S, Room, SweepPlan, fastest_loop_1_s, sweep_plan
 from rig.core.signals import BenchDelay
 
@@ -237,4 +240,25 @@ def expected_sweeps(e: Experiment) -> SweepPlan:
     least_s = (1.5 if backend_of(e.device).writes_first(e.device) else 0.5) * e.period_s
     return sweep_plan(
         survey_room(e, COUNTS_1_S * e.sensor.curve.lsb_rad, fastest_loop_1_s(least_s)), e.survey.speeds_rad_s or ()
+    )
+
+
+def guard_settings_of(e: Experiment, noise_rad: float | None = None, delay: BenchDelay | None = None) -> GuardSettings:
+    """The guard's knowledge; ``noise_rad`` and ``delay`` once they were measured.
+
+    Before that two LSB are assumed, and a drive that acts within its own tick.
+    """
+    d = e.device
+    lsb_rad = e.sensor.curve.lsb_rad
+    t = e.limits
+    return GuardSettings(
+        limits=d.arming,
+        rail_counts=e.sensor.rails,
+        max_speed_rad_s=t.max_speed_rad_s,
+        coast_tau_s=t.coast_tau_s,
+        noise_rad=2.0 * lsb_rad if noise_rad is None else max(noise_rad, lsb_rad),
+        motion_rad=e.breakaway.motion_rad,
+        delay_s=0.0 if delay is None else counted_delay_s(d, delay),
+        reaction_s=known_reaction_s(d),  # as in `rig check`
+        free_rad_s=0.0 if e.motor is None else e.motor.no_load_speed_rad_s * e.drive.max_V / e.drive.supply_V,
     )

@@ -18,7 +18,7 @@ from rig.config.load import Given, load_with_places, read
 from rig.config.messages import unplaced
 from rig.config.problems import ConfigError, Path, Problem, bracketed, printable, wrong
 from rig.config.schema import DeviceSetup, Experiment, RelayGainsSection
-from rig.control.laws import construct, registered
+from rig.control.law import named_law, registered
 from rig.control.sweep_plan import TooShortError
 from rig.core.plug_ins import OptionError, PlugInError
 from rig.core.signals import percent, plain
@@ -425,7 +425,7 @@ def _law(e: Experiment) -> Iterator[Problem]:
     if e.law is None:
         return
     try:
-        construct(e.law.name, e.law.options)
+        named_law(e.law.name, e.law.options)
     except LookupError:
         names = sorted(registered())
         near = get_close_matches(e.law.name, names, n=1)

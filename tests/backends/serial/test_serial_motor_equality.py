@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 from evidence import examples
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from real_motors import CASES, FRAME, relay, with_parts
 
@@ -82,21 +82,6 @@ def motors(draw: st.DrawFn) -> Motor:
 
 
 steps = st.lists(st.tuples(st.floats(-12.0, 12.0), st.floats(0.0, 3.0)), min_size=1, max_size=8)
-
-
-@settings(max_examples=examples(300), deadline=None)
-@example(Motor(1.0, 1.0, Friction(1.0, 0.0, 1.0, 0.0), 0.5), 5e-324, 0.0, [(0.0, 1.0)])
-@given(motors(), st.floats(-20.0, 20.0), st.floats(-2.0, 2.0), steps)
-def test_motor_in_c_is_the_motor_of_the_model(
-    motor: Motor, v0: float, y0: float, sequence: list[tuple[float, float]]
-) -> None:
-    board = Board(BenchParameters(motor, stop_rad=NO_STOPS))
-    state, v, y = State(v0, y0), v0, y0
-    for u_V, dt_s in sequence:
-        state = motor.advance(state, u_V, dt_s)
-        v, y = board.motion(v, y, u_V, dt_s)
-        assert v == pytest.approx(state.v, rel=1e-9, abs=1e-9)
-        assert y == pytest.approx(state.y, rel=1e-9, abs=1e-9)
 
 
 @settings(max_examples=examples(100), deadline=None)

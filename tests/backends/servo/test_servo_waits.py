@@ -13,8 +13,7 @@ from test_servo_faults import alert, protects, torque_off
 from rig.backends.servo.line import setup_of
 from rig.config.schema import Experiment
 from rig.core.faults import Fault
-from rig.running.preflight.loop_settings import guard_settings_of
-from rig.running.preflight.room_to_stop import reaction_periods, stopping_rad, stopping_sum
+from rig.running.preflight.room_to_stop import guard_settings_of, reaction_periods, stopping_rad, stopping_sum
 
 SLACK_S = 1e-6
 SEEDS = 40
