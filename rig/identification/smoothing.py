@@ -260,10 +260,7 @@ def _behind(
         rise = (sum(map(left, beside)) / 2.0 / found[best]) ** 2 - 1.0
         share = KNOWN * BESIDE / math.sqrt(max(rise, 1e-6))
         other_s = motors[best].tau_s  # a motor and a filter could stand in each other's place, but for friction
-        if (
-            period_s < other_s < LONGEST_S
-            and left(best._replace(size_s=other_s)) < math.hypot(1.0, KNOWN) * found[best]
-        ):
+        if period_s < other_s and left(best._replace(size_s=other_s)) < math.hypot(1.0, KNOWN) * found[best]:
             share = max(share, abs(other_s / best.size_s - 1.0))
         small, large = (motors[one] for one in beside)
         by = share / (2.0 * BESIDE)
