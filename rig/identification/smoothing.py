@@ -97,8 +97,11 @@ class Smoothing(NamedTuple):
             return replace(test.part(0, way.size), u_V=np.abs(test.u_V[: way.size]) * way)
         if self.order == RAMP:
             return replace(test, u_V=_without_ramps(test.u_V))
-        # undone, a reading has no steps, by which its unit would be known
-        test = replace(test, units_stated=test.units_stated or divides_a_turn(test.resolution_rad()))
+        # undone, a reading has no steps, by which its unit would be known; and a filter that is too long would make it
+        # earlier than its row: samples never are, others by half a row, as where samples were summed as means
+        known, period_s = test.units_stated or divides_a_turn(test.resolution_rad()), test.period_s
+        delay_s = period_s * (1.0 if test.reads == "samples" else 0.5), test.longest_delay_s - period_s
+        test = replace(test, units_stated=known, delay_s=test.delay_s if self.column == "drive" else delay_s)
         for _ in range(self.order):
             test = test if self.column == "drive" else unfiltered(test, self.size_s)
             test = test if self.column == "reading" else unfiltered(test, self.size_s, of_drive=True)
@@ -261,10 +264,7 @@ def _behind(
         rise = (sum(map(left, beside)) / 2.0 / found[best]) ** 2 - 1.0
         share = KNOWN * BESIDE / math.sqrt(max(rise, 1e-6))
         other_s = motors[best].tau_s  # a motor and a filter could stand in each other's place, but for friction
-        if (
-            period_s < other_s < LONGEST_S
-            and left(best._replace(size_s=other_s)) < math.hypot(1.0, KNOWN) * found[best]
-        ):
+        if period_s < other_s and left(best._replace(size_s=other_s)) < math.hypot(1.0, KNOWN) * found[best]:
             share = max(share, abs(other_s / best.size_s - 1.0))
         small, large = (motors[one] for one in beside)
         by = share / (2.0 * BESIDE)

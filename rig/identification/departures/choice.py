@@ -190,8 +190,14 @@ class Chooser:
         fit, laws = self._predicting(fit, laws, whole)
         while laws:
             rises = rise_by_law(self._shares(fit, whole, cycle_s).with_own_noise, laws, self.bench)
-            # normal equations say nothing of a law that leaps
-            least = min((law for law in laws if not law.leaps), key=lambda law: rises[law], default=None)
+            normal = Normal.of(fit.rows, fit.problem.cut)
+            # normal equations say nothing of a law that leaps, nor of one that stays though it is worth nothing by them
+            told = [
+                law
+                for law in laws
+                if not law.leaps and loss(normal, fit, law) >= self.price(law, fit, self.asked.stay) * unit(fit)
+            ]
+            least = min(told, key=lambda law: rises[law], default=None)
             if least is None or rises[least] >= self.asked.predicts:
                 break
             fit, laws = self._less(fit, laws, least)
