@@ -99,7 +99,7 @@ class RegisterDriver(ABC, Generic[Req]):
         self._max_units = 0
         self._seq = 0
         self._late_in_a_row = 0  # replies that took longer than this
-        self._unfit_s = max(timeouts.reply_s, timeouts.period_s)
+        self._unfit_s = timeouts.reply_s + timeouts.period_s
         self._units = 0  # drive as last commanded
         self._t_u_s = math.nan
         self._sampled_s = math.nan  # when the position of the last reading was
@@ -540,16 +540,11 @@ class RegisterDriver(ABC, Generic[Req]):
                 raise Fault(fault.code, f"{fault.detail}; {self._waits.words}") from fault
             raise
         self._beyond[request is self._sampling].take(reply.latest_s - reply.executed_s)
-        took_s, late = self._transport.now_s() - begun_s, ""
+        # also where this process was late; for longer no drive acts
+        self._waits.take(min(self._transport.now_s() - begun_s, self._acts_s))
         self._late_in_a_row = self._late_in_a_row + 1 if reply.round_trip_s > self._unfit_s else 0
-        if took_s <= left_s:
-            self._waits.take(took_s)
-        elif self.failsafe is None:  # it was this process that was late: nothing else bounds that
-            late = self._waits.words
-        if self._late_in_a_row >= _LATE_REPLIES and self.failsafe is not None:
-            late = f"{_LATE_REPLIES} replies in a row took longer than the period, {1e3 * self._unfit_s:g} ms"
-        if late:
-            ends = Fault("LINK_TIMEOUT", f"{late}: the last one {1e3 * reply.round_trip_s:.0f} ms")
+        if self._late_in_a_row >= _LATE_REPLIES:
+            ends = Fault("LINK_TIMEOUT", f"{_LATE_REPLIES} replies in a row took over {1e3 * self._unfit_s:g} ms")
             self._explain(ends)
             raise ends
         return reply

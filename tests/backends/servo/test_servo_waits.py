@@ -108,16 +108,18 @@ def test_no_answer_is_awaited_longer_than_the_breakaway_check_counts() -> None:
     assert longest_wait_s(bench_of(experiment()), 0.02) <= 0.02 + SLACK_S
 
 
-@pytest.mark.parametrize("late", ["the answer", "the host"])
+@pytest.mark.parametrize(("late", "protocol"), [
+    ("the answer", "feetech"), ("the host", "feetech"), ("the host", "dynamixel"),
+])  # fmt: skip
 @pytest.mark.parametrize(("late_s", "ends"), [
-    ([0.045], False), ([0.015], False), ([0.014] * 3, False), ([0.02] * 5, True), ([0.03, 0.0] * 3, True),
+    ([0.045], False), ([0.015], False), ([0.014] * 3, False), ([0.02] * 9, True), ([0.03, 0.0] * 3, True),
     ([0.025, 0.0, 0.0, 0.0, 0.0, 0.0] * 3, False),
 ])  # fmt: skip
 def test_late_answers_end_a_run_only_where_together_they_take_longer_than_one_may(
-    late_s: list[float], ends: bool, late: str
+    late_s: list[float], ends: bool, late: str, protocol: str
 ) -> None:
     """A host that stood still for 15 ms ended a run. All of them fall into the time in which a loop reacts."""
-    bench, coming = Bench("feetech"), list(late_s)
+    bench, coming = Bench(protocol), list(late_s)
     bench.armed()
     bench.tick(1.0)
     real = bench.bus.write
