@@ -24,6 +24,7 @@ from rig.backends.emulated.shaft import ShaftPath, traced
 from rig.backends.emulated.words import in_virtual_time
 from rig.backends.link_budget import LinkBudget
 from rig.backends.links.open_link import OpenLink
+from rig.backends.tick_waits import REACTS_TICKS, unwatched_s
 from rig.config.problems import Problem, wrong
 from rig.config.schema import DeviceSetup, Emulated
 from rig.core.section import Section
@@ -364,6 +365,16 @@ class PortBackend(LineBackend):
                     yield line if trace is None else line._replace(shaft=partial(traced, trace))
         else:
             yield self._line_of_port(d, port)
+
+    def late_words(self, d: DeviceSetup) -> str:
+        """How late answers may come until a run ends, for people."""
+        watchdog_s, timeout_s = self.watchdog(d).time_s, d.daq.timeout_s
+        longest_s = unwatched_s(timeout_s, d.daq.watchdog_s) if watchdog_s is None else timeout_s + watchdog_s
+        spare_s = longest_s - self.budget(d).total_s
+        ticks = REACTS_TICKS + self.writes_first(d)
+        late = min(int(spare_s / d.period_s), ticks)
+        ticks_words = f", or {late} of any {ticks} ticks a period late each" if late else ""
+        return f"late answers: one may come {1e3 * spare_s:.0f} ms late{ticks_words}; more ends the run"
 
     def _line_of_port(self, d: DeviceSetup, port: str, *, emulated: bool = False) -> Line:
         transport = self.opening().transport(d, port, emulated=emulated)

@@ -14,8 +14,14 @@ from typing import Final
 from rig.backends.link_budget import LINK_SHARE
 
 REACTS_TICKS: Final = 3  # that a loop needs: one until it reads the motion, two by which its velocity lags
+UNWATCHED_S: Final = 0.1  # the longest that a drive may act on where no watchdog of the device ends it
 
 _READINGS: Final = 2  # of a tick: another one where the host stood still
+
+
+def unwatched_s(timeout_s: float, watchdog_s: float) -> float:
+    """What late ticks may take together where the device has no watchdog, s: as one may silence that has one."""
+    return min(max(timeout_s, UNWATCHED_S), watchdog_s)
 
 
 class TickWaits:
@@ -38,6 +44,11 @@ class TickWaits:
         self.longest_s, self._this_s = longest_s, 0.0
         self._before.extend([0.0] * len(self._before))
         self._readings, self._is_driven = 0, False
+
+    @property
+    def words(self) -> str:
+        """Why the next exchange may not wait for longer, for people."""
+        return f"late replies may take {1e3 * self.longest_s:g} ms together, all that `rig check` counts"
 
     @property
     def left_s(self) -> float:

@@ -23,6 +23,7 @@ from rig.backends.link_budget import LinkBudget
 from rig.backends.modbus.link_budget import longest_transaction_s, transactions
 from rig.backends.modbus.section import tcp_address
 from rig.backends.registry import backend_of
+from rig.backends.tick_waits import UNWATCHED_S
 from rig.config import Experiment, load
 from rig.running.preflight import notes, preflight
 from rig.running.preflight.plan import plan
@@ -309,7 +310,8 @@ def test_a_watchdog_that_is_not_there_is_not_counted_and_said_to_be_missing() ->
     v = none.limits.max_speed_rad_s
     # behind a reply that is lost the stop waits until the line is silent: where no watchdog acts meanwhile, that counts
     assert none.daq.modbus is not None
-    less_s = with_one.daq.watchdog_s - longest_transaction_s(none.daq, none.daq.modbus)
+    waits_s = UNWATCHED_S + longest_transaction_s(none.daq, none.daq.modbus)
+    less_s = with_one.daq.timeout_s + with_one.daq.watchdog_s - waits_s
     words = [words for words, _ in stopping_terms(with_one.device) if words != "watchdog"]
     assert [words for words, _ in stopping_terms(none.device)] == [
         "lost reply" if word == "reply time-out" else word for word in words
@@ -321,6 +323,10 @@ def test_a_watchdog_that_is_not_there_is_not_counted_and_said_to_be_missing() ->
     assert found.problems == ()
     (line,) = (line for line in found.lines if line.startswith("stopping"))
     assert "if the host dies nothing bounds it: the device has no watchdog" in line
+    assert (
+        "late answers: one may come 93 ms late, or 4 of any 4 ticks a period late each; more ends the run"
+        in found.lines
+    )
 
 
 def test_a_watchdog_that_is_set_on_the_device_counts_for_the_room_to_stop() -> None:

@@ -176,11 +176,21 @@ def test_a_joint_has_room_for_its_watchdog_and_a_unit_of_it(tmp_path: Path) -> N
         hard_rad = 1.2 + far_rad + more_rad
         said = problems(changed(tmp_path, limits={"hard_rad": [-hard_rad, hard_rad]}, **joint))
         assert (said == []) is fits, said
-    assert len(said) == 1 and "watchdog has acted" in said[0]
+    assert len(said) == 1 and "before the drive is taken away" in said[0]
     most_V = float(said[0].rpartition("at most ")[2].split()[0])
     limits = {"hard_rad": [-hard_rad, hard_rad]}
     assert 1.58 < most_V < 1.6 and problems(changed(tmp_path, limits=limits, drive={"max_V": most_V}, **joint)) == []
     assert problems(changed(tmp_path, limits=limits)) == []  # a free horn has no stop
+
+
+def test_a_joint_without_a_watchdog_has_room_for_late_answers(tmp_path: Path) -> None:
+    """3 periods, as long as its keeper waits, and coasting are 0.15 s; 3 V are 2.43 rad/s."""
+    far_rad = 0.15 * 6.0 * 3.0 / 7.4
+    joint: dict[str, Any] = {"daq": {"servo": {"attached": "joint", "supply_switch": "the red one"}}}
+    for more_rad, fits in ((0.002, True), (-0.002, False)):
+        hard_rad = 1.2 + far_rad + more_rad
+        said = problems(changed(tmp_path, "servo-sts3215", limits={"hard_rad": [-hard_rad, hard_rad]}, **joint))
+        assert (said == []) is fits, said
 
 
 def test_a_load_without_a_watchdog_stays_inside_from_the_soft_limit_on(tmp_path: Path) -> None:

@@ -63,10 +63,10 @@ class ModbusBackend(RegisterBackend):
     @override
     def lost_reply_s(self, d: DeviceSetup) -> float:
         """Where no watchdog acts meanwhile the stop comes later, too: the line must be silent before it."""
-        modbus, time_out_s = d.daq.modbus, super().lost_reply_s(d)
+        modbus, late_s = d.daq.modbus, super().lost_reply_s(d)
         if modbus is None or self.watchdog(d).time_s is not None:
-            return time_out_s
-        return time_out_s + link_budget.longest_transaction_s(d.daq, modbus)
+            return late_s
+        return late_s + link_budget.longest_transaction_s(d.daq, modbus)
 
     @override
     def times_error_s(self, d: DeviceSetup) -> float:

@@ -9,6 +9,7 @@ from typing import ClassVar
 from typing_extensions import override
 
 from rig.backends.backend import PortBackend
+from rig.backends.tick_waits import unwatched_s
 from rig.config.problems import Problem
 from rig.config.schema import DeviceSetup
 from rig.core.strict_json import JsonObject
@@ -29,10 +30,18 @@ class RegisterBackend(PortBackend):
         return replace(problem, hint=self.adapter_hint) if key == "adapter" else problem
 
     @override
+    def lost_reply_s(self, d: DeviceSetup) -> float:
+        """Where no watchdog ends a drive late answers may take as much together."""
+        if self.watchdog(d).time_s is None:
+            return unwatched_s(d.daq.timeout_s, d.daq.watchdog_s)
+        return d.daq.timeout_s
+
+    @override
     def plan(self, d: DeviceSetup) -> Iterator[str]:
         budget = self.budget(d)
         if budget.terms:
             yield f"link: {budget.beside(d.period_s)}"
+            yield self.late_words(d)
 
     @override
     def rehearsed(self, d: DeviceSetup) -> dict[str, JsonObject]:

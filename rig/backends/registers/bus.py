@@ -177,7 +177,7 @@ class BusClient(Generic[Req]):
                     )
                 data, begun_s, from_s = b"", from_s, now_s()
                 if in_tick:
-                    timeout_s -= from_s - begun_s
+                    timeout_s = max(timeout_s - (from_s - begun_s), 0.0)
             asked = protocol.encode(request)
             transport.write(asked)
             by_s = now_s()  # it left between these two

@@ -16,7 +16,7 @@ from typing import Generic
 from rig.backends.driver import DeviceInfo, DeviceWatchdog, Timeouts, Transport
 from rig.backends.registers.bus import ATTEMPTS, LATE_TIMEOUTS, BusClient, Reply, Req
 from rig.backends.registers.map import ARMED, OFF, Register, RegisterMap, RegisterSpan
-from rig.backends.tick_waits import REACTS_TICKS, TickWaits
+from rig.backends.tick_waits import REACTS_TICKS, TickWaits, unwatched_s
 from rig.core.calibration import Scaling, hard_limits_in_counts, largest_drive_in_units
 from rig.core.faults import Fault
 from rig.core.signals import Limits, Order, Sample
@@ -98,7 +98,8 @@ class RegisterDriver(ABC, Generic[Req]):
         self._written: list[Setting] = []  # settings that it has confirmed in this session
         self._max_units = 0
         self._seq = 0
-        self._late_in_a_row = 0  # replies that came after the time-out
+        self._late_in_a_row = 0  # replies that took longer than this
+        self._unfit_s = timeouts.reply_s + timeouts.period_s
         self._units = 0  # drive as last commanded
         self._t_u_s = math.nan
         self._sampled_s = math.nan  # when the position of the last reading was
@@ -215,10 +216,12 @@ class RegisterDriver(ABC, Generic[Req]):
         self._switch_on()
         self._await_armed()
         self._armed = True
-        self._acts_s, watchdog_s = self._lost_reply_s, 0.0
-        if self.failsafe is not None:
-            self._acts_s = watchdog_s = min(self.failsafe.time_s, LONGEST_WATCHDOG_S)
-        self._waits.restart(self._lost_reply_s + watchdog_s)
+        if self.failsafe is None:
+            self._acts_s = longest_s = unwatched_s(self._timeout_s, limits.watchdog_s)
+        else:
+            self._acts_s = min(self.failsafe.time_s, LONGEST_WATCHDOG_S)
+            longest_s = self._lost_reply_s + self._acts_s
+        self._waits.restart(longest_s)
 
     def read(self) -> Sample:
         """Sample the bench.
@@ -527,25 +530,21 @@ class RegisterDriver(ABC, Generic[Req]):
         only be its reply. Where one reply after the other is late, the link is not fit for the period: LINK_TIMEOUT.
         """
         begun_s, left_s = self._transport.now_s(), self._waits.left_s
-        longest_s = max(min(max(self._timeout_s, self._driven_s + self._acts_s - begun_s), left_s), 0.0)
+        longest_s = max(self._timeout_s, self._driven_s + self._acts_s - begun_s)
+        waits_s = max(min(longest_s, left_s), 0.0)
         try:
-            reply = self._client.asked(request, longest_s, in_tick=True, idle_s=idle_s)
+            reply = self._client.asked(request, waits_s, in_tick=True, idle_s=min(idle_s, waits_s))
         except Fault as fault:
             self._explain(fault)
+            if fault.code == "LINK_TIMEOUT" and left_s < longest_s:
+                raise Fault(fault.code, f"{fault.detail}; {self._waits.words}") from fault
             raise
         self._beyond[request is self._sampling].take(reply.latest_s - reply.executed_s)
-        took_s, late = self._transport.now_s() - begun_s, ""
-        self._late_in_a_row = self._late_in_a_row + 1 if reply.round_trip_s > self._timeout_s else 0
-        if took_s <= left_s:
-            self._waits.take(took_s)
-        elif self.failsafe is None:  # it was this process that was late: nothing else bounds that
-            late = (
-                f"late replies took more than {1e3 * self._waits.longest_s:g} ms together, all that `rig check` counts"
-            )
-        if self._late_in_a_row >= _LATE_REPLIES and self.failsafe is not None:
-            late = f"{_LATE_REPLIES} replies in a row took longer than daq.timeout_s, {1e3 * self._timeout_s:g} ms"
-        if late:
-            ends = Fault("LINK_TIMEOUT", f"{late}: the last one {1e3 * reply.round_trip_s:.0f} ms")
+        # also where this process was late; for longer no drive acts
+        self._waits.take(min(self._transport.now_s() - begun_s, self._acts_s))
+        self._late_in_a_row = self._late_in_a_row + 1 if reply.round_trip_s > self._unfit_s else 0
+        if self._late_in_a_row >= _LATE_REPLIES:
+            ends = Fault("LINK_TIMEOUT", f"{_LATE_REPLIES} replies in a row took over {1e3 * self._unfit_s:g} ms")
             self._explain(ends)
             raise ends
         return reply

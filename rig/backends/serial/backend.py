@@ -88,6 +88,7 @@ class SerialBackend(PortBackend):
     @override
     def plan(self, d: DeviceSetup) -> Iterator[str]:
         yield f"link: {self.budget(d).beside(d.period_s)}"
+        yield self.late_words(d)
         delay_ms = 1e3 * link_budget.sample_to_drive_s(d)
         yield f"delay of the link: a drive acts up to {delay_ms:.2f} ms after its sample, plus the host's own time"
         if d.runs_relay:

@@ -11,7 +11,7 @@ from rig.backends.link_budget import LinkBudget
 from rig.backends.links.usb_adapters import Adapter, adapter_delay_s
 from rig.backends.registers.backend import RegisterBackend
 from rig.backends.servo import link_budget
-from rig.backends.servo.rules import has_watchdog, longest_wait_s, servo_rules, switch_to_try
+from rig.backends.servo.rules import has_watchdog, servo_rules, switch_to_try
 from rig.backends.servo.section import EMULATED_PORTS, ServoKeys
 from rig.config.problems import Problem
 from rig.config.schema import DeviceSetup
@@ -60,10 +60,6 @@ class ServoBackend(RegisterBackend):
     def reply_delay_s(self, d: DeviceSetup) -> float:
         adapter = self.adapter_behind(d)
         return 0.0 if adapter is None else adapter_delay_s(adapter)
-
-    @override
-    def lost_reply_s(self, d: DeviceSetup) -> float:
-        return super().lost_reply_s(d) if d.daq.servo is None else longest_wait_s(d, d.daq.servo)
 
     @override
     def times_error_s(self, d: DeviceSetup) -> float:

@@ -7,6 +7,7 @@ which is neither. What is lost without supply tells nothing by that.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import re
@@ -53,11 +54,13 @@ _NOTHING: Final[Sets] = MappingProxyType({})
 class BeforeStore:
     """A file that holds the values of before, and those that rig sets, while rig has changed them.
 
-    path  None: kept in memory alone, of a servo in virtual time
+    path        None: kept in memory alone, of a servo in virtual time
+    aside_path  where values stay that were of another servo, as it seems: nobody reads them there
     """
 
     def __init__(self, path: Path | None = None) -> None:
         self.path = path
+        self.aside_path: Path | None = None
         self._values: dict[str, int] | None = None
         self._sets = _NOTHING
 
@@ -81,9 +84,10 @@ class BeforeStore:
         if self.note_path is None:
             return ""
         with contextlib.suppress(OSError):
-            words = self.note_path.read_text(encoding="utf-8", errors="replace")
-            self.note_path.unlink()
-            return words[:200]
+            words = self.note_path.read_text(encoding="utf-8", errors="replace")[:200]
+            with contextlib.suppress(OSError):  # of a folder that is read-only: it is told again
+                self.note_path.unlink()
+            return words
         return ""
 
     def load(self, model: ServoModel) -> dict[str, int] | None:
@@ -138,17 +142,17 @@ class BeforeStore:
         except OSError as error:
             raise Fault("SERVO_CHANGED", f"{self.path}: {error.strerror}: what to put back would be lost") from error
 
-    @property
-    def aside_path(self) -> Path | None:
-        """Where the values stay that were of another servo, as it seems: nobody reads them there."""
-        return None if self.path is None else self.path.with_suffix(".aside.json")
-
     def set_aside(self) -> None:
-        """Of a servo that shows nothing of the run that left the values: another one may have to get them back."""
-        if self.path is not None and self.aside_path is not None:
+        """Of a servo that shows nothing of the run that left the values: another one may have to get them back.
+
+        Beside those of servos before. Where the folder is read-only they stay where they are.
+        """
+        self._values, self._sets, self.aside_path = None, _NOTHING, self.path
+        if self.path is not None:
+            names = (f".aside{'' if number == 1 else number}.json" for number in itertools.count(1))
+            beside = next(one for one in map(self.path.with_suffix, names) if not one.exists())
             with contextlib.suppress(OSError):
-                self.path.replace(self.aside_path)
-        self.clear()
+                self.aside_path = self.path.replace(beside)
 
     def clear(self) -> None:
         """The servo holds them again."""

@@ -241,7 +241,6 @@ class ServoDriver(RegisterDriver[Ask]):
             raise Fault("SERVO_SWITCH_UNTRIED", self._setup.supply_switch)
         self._tick = self._tick_s = math.nan
         self._strange = self._bad = self._doubted = 0
-        self._lost_reply_s = min(self._setup.longest_wait_s, limits.watchdog_s)
         super().arm(limits)
         self._find_steps()
         self._ways.clear()

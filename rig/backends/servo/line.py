@@ -23,7 +23,7 @@ from rig.backends.servo.emulated.virtual_bus import VirtualServoBus
 from rig.backends.servo.keeper import starter
 from rig.backends.servo.link_budget import adapter_of, longest_return_delay_s
 from rig.backends.servo.opening import ServoSetup
-from rig.backends.servo.rules import longest_wait_s, switch_to_try
+from rig.backends.servo.rules import switch_to_try
 from rig.backends.servo.section import EMULATED_PORTS, Servo
 from rig.config.schema import DeviceSetup, ServoSensor
 from rig.core.calibration import largest_drive_in_units
@@ -81,7 +81,6 @@ def setup_of(d: DeviceSetup) -> ServoSetup:
         longest_delay_s=longest_return_delay_s(d.daq, servo, d.period_s),
         supply_switch=switch_to_try(d, servo),
         adapter_s=adapter_delay_s(adapter_of(d.daq, servo)),
-        longest_wait_s=longest_wait_s(d, servo),
     )
 
 

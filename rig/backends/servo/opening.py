@@ -63,7 +63,6 @@ class ServoSetup:
     longest_delay_s  return delay that a tick has room for, s: one that is not longer stays as it is
     supply_switch    that must be tried before it drives, in words; empty: none must
     adapter_s        by how much its USB adapter makes an exchange longer, at most, s
-    longest_wait_s   for one answer in a tick, where it has no watchdog, s; its time-out at least
     """
 
     model: ServoModel
@@ -78,7 +77,6 @@ class ServoSetup:
     longest_delay_s: float = 0.0
     supply_switch: str = ""
     adapter_s: float = 0.0
-    longest_wait_s: float = 0.0
 
 
 @dataclass(frozen=True)

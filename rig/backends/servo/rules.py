@@ -8,10 +8,10 @@ from typing import Final
 
 from rig.backends.servo.link_budget import tick_budget
 from rig.backends.servo.section import EMULATED_PORTS, Servo
+from rig.backends.tick_waits import UNWATCHED_S
 from rig.config.problems import Problem, wrong
 from rig.config.schema import DeviceSetup
 
-_NO_WATCHDOG_S: Final = 0.1  # for which full drive must stay inside the hard limits where nothing else stops a servo
 _HALF_TURN_RAD: Final = math.pi - 0.1  # beyond it a position has two places
 _SLACK: Final = 1e-9
 _UNITS: Final = 127  # of the watchdog's register, at most
@@ -37,7 +37,7 @@ def servo_rules(d: DeviceSetup) -> Iterator[Problem]:
     if not budget.fits(d.period_s):
         fitting = [f"daq.baud {baud} fits" for baud in sorted(servo.table.bauds.values()) if _fits(d, servo, baud)]
         yield budget.too_slow("daq.baud", d.period_s, fitting[:1])
-    elif longest_wait_s(d, servo) < budget.total_s:
+    elif d.daq.timeout_s < budget.total_s:
         yield wrong(
             "daq.timeout_s",
             f"{1e3 * d.daq.timeout_s:g} ms is shorter than the exchanges of a tick, {1e3 * budget.total_s:.2f} ms",
@@ -59,17 +59,6 @@ def switch_to_try(d: DeviceSetup, servo: Servo) -> str:
     """The switch that a person tries before the servo drives, in words; empty: none."""
     is_real = d.daq.port not in EMULATED_PORTS
     return (servo.supply_switch or "") if is_real and needs_switch(d, servo) else ""
-
-
-def longest_wait_s(d: DeviceSetup, servo: Servo) -> float:
-    """The longest wait for the answers of a tick, s. Preflight counts it, and the driver waits no longer.
-
-    Where nothing in the servo takes its duty away, until its keeper would; but of a joint one time-out: it could meet
-    its stop meanwhile.
-    """
-    if has_watchdog(servo) or servo.attached == "joint":
-        return d.daq.timeout_s
-    return max(d.daq.timeout_s, min(d.daq.watchdog_s, _NO_WATCHDOG_S))
 
 
 def _is_proven(d: DeviceSetup, servo: Servo) -> bool:
@@ -132,7 +121,7 @@ def _travel(d: DeviceSetup, servo: Servo) -> Iterator[Problem]:
         )
     elif servo.attached == "load" and not _is_proven(d, servo):
         yield from full_drive_stays_inside(
-            d, _NO_WATCHDOG_S, "and nothing in the servo takes the duty away when the host is silent"
+            d, UNWATCHED_S, "and nothing in the servo takes the duty away when the host is silent"
         )
 
 

@@ -25,19 +25,20 @@ def attached_rules(e: Experiment) -> Iterator[Problem]:
         return
     if e.load is not None:
         yield from _gravity(e, servo, e.load)
-    if servo.attached == "joint" and has_watchdog(servo) and not e.daq.accept_no_watchdog and limits_are_ordered(d):
+    if servo.attached == "joint" and limits_are_ordered(d):
         yield from full_drive_stays_inside(
-            d, joint_silence_s(d, servo), "before the servo's watchdog has acted and the shaft has stopped"
+            d, joint_silence_s(d, servo), "before the drive is taken away and the shaft has stopped"
         )
 
 
 def joint_silence_s(d: DeviceSetup, servo: Servo) -> float:
-    """For how long a shaft may go on at its speed if the host dies, s: docs/theory.md 10.2, and a unit of the watchdog.
+    """For how long a shaft may go on at its speed, s: docs/theory.md 10.2, and a unit of the watchdog.
 
     The servo counts its silence in units of 20 ms: the last one may have begun just after the last instruction.
+    Without a watchdog this holds while the host lives.
     """
-    watched_s = stopping_rad(d) / d.limits.max_speed_rad_s
-    return watched_s + servo.table.role("watchdog").scale
+    reacts_s = stopping_rad(d) / d.limits.max_speed_rad_s
+    return reacts_s + (servo.table.role("watchdog").scale if has_watchdog(servo) else 0.0)
 
 
 def gravity_V(d: DeviceSetup, load: LoadSection) -> float | None:

@@ -530,7 +530,7 @@ def test_replies_that_are_late_one_after_the_other_end_the_run(rig: Rig) -> None
         rig.tick(0.6 if k % 2 else -0.6)
     rig.block.inject(ReplyFault("late", times=3, by_s=0.03))
     fault = rig.fault_while_driving(3)
-    assert fault.code == "LINK_TIMEOUT" and "3 replies in a row took longer than daq.timeout_s, 10 ms" in fault.detail
+    assert fault.code == "LINK_TIMEOUT" and "3 replies in a row took over" in fault.detail
 
 
 @pytest.mark.parametrize("at", [3, 5], ids=["address", "how many"])

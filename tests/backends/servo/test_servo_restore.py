@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import json
 import random
 from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
+from unittest.mock import Mock
 
 import pytest
 from evidence import evidence
@@ -374,6 +377,30 @@ def test_another_servo_as_shipped_gets_no_gains_of_the_one_that_was_there(tmp_pa
     first.driver.safe_stop()
     restore(first.another()._link, BeforeStore(store.path))
     assert first.servo.of("mode") == 3 and first.servo.value("position_p_gain") == 123 and not store.is_kept
+
+
+def test_values_of_one_servo_after_the_other_stay_beside_and_in_a_read_only_folder_where_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model, store, kept = Bench().setup.model, BeforeStore(tmp_path / "servo-a-1.json"), []
+    for gain in (1, 2, 3):
+        store.save(model, 1, {"position_p_gain": gain})
+        if gain == 3:
+            monkeypatch.setattr(Path, "replace", Mock(side_effect=OSError(errno.EROFS, "")))
+        store.set_aside()
+        assert store.aside_path is not None
+        kept.append(store.aside_path)
+    assert [json.loads(path.read_text())["registers"]["position_p_gain"] for path in kept] == [1, 2, 3]
+
+
+def test_what_a_keeper_says_is_told_though_its_folder_is_read_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = BeforeStore(tmp_path / "servo-a-1.json")
+    assert store.note_path is not None
+    store.note_path.write_text("stopped it", encoding="utf-8")
+    monkeypatch.setattr(Path, "unlink", Mock(side_effect=OSError(errno.EROFS, "")))
+    assert store.note() == "stopped it"
 
 
 def test_gains_of_who_has_changed_the_mode_back_since_a_killed_run_are_that_ones(tmp_path: Path) -> None:

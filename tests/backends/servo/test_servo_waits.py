@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import random
 from collections.abc import Callable
 
 import pytest
@@ -21,13 +22,17 @@ QUICK_S = 0.0018  # of an exchange that nobody disturbs, the dither of a Feetech
 
 
 def experiment(
-    timeout_s: float = 0.01, watchdog_s: float = 0.06, attached: str = "nothing", protocol: str = "feetech"
+    timeout_s: float = 0.01,
+    watchdog_s: float = 0.06,
+    attached: str = "nothing",
+    protocol: str = "feetech",
+    period_s: float = 0.01,
 ) -> Experiment:
     e = Bench(protocol).e
     assert e.daq.servo is not None
     servo = e.daq.servo.model_copy(update={"attached": attached, "supply_switch": "the red one"})
     daq = {"timeout_s": timeout_s, "watchdog_s": watchdog_s, "servo": servo}
-    return e.model_copy(update={"daq": e.daq.model_copy(update=daq)})
+    return e.model_copy(update={"period_s": period_s, "daq": e.daq.model_copy(update=daq)})
 
 
 def bench_of(e: Experiment, protocol: str = "feetech") -> Bench:
@@ -71,14 +76,16 @@ def longest_wait_s(bench: Bench, limits_s: float | None = None) -> float:
     return max(waits_s)
 
 
-@pytest.mark.parametrize(("timeout_s", "watchdog_s"), [(0.004, 0.04), (0.01, 0.06), (0.01, 0.2)])
+@pytest.mark.parametrize(("timeout_s", "watchdog_s", "period_s"), [
+    (0.004, 0.04, 0.01), (0.01, 0.06, 0.01), (0.01, 0.2, 0.01), (0.02, 0.06, 0.02),
+])  # fmt: skip
 @pytest.mark.parametrize("attached", ["nothing", "joint"])
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_a_loop_reacts_within_the_time_that_the_room_to_stop_counts(
-    timeout_s: float, watchdog_s: float, attached: str, protocol: str
+    timeout_s: float, watchdog_s: float, period_s: float, attached: str, protocol: str
 ) -> None:
     """Answers, or requests, that are as late as the driver bears, in every order: none alone need be late."""
-    e = experiment(timeout_s, watchdog_s, attached, protocol)
+    e = experiment(timeout_s, watchdog_s, attached, protocol, period_s)
     bench = bench_of(e, protocol)
     bench.opened()
     driver, longest_s = bench.driver, 0.0
@@ -92,7 +99,7 @@ def test_a_loop_reacts_within_the_time_that_the_room_to_stop_counts(
     by_guard_s, in_sum_s = counted_s(e)
     assert longest_s <= min(by_guard_s, in_sum_s) + SLACK_S
     assert longest_s >= in_sum_s - 2.0 * e.period_s  # and it rides over what there is room for
-    assert ("lost reply" in stopping_sum(e.device)) == (attached != "joint" and protocol == "feetech")
+    assert ("lost reply" in stopping_sum(e.device)) == (protocol == "feetech")
 
 
 def test_no_answer_is_awaited_longer_than_the_breakaway_check_counts() -> None:
@@ -100,16 +107,18 @@ def test_no_answer_is_awaited_longer_than_the_breakaway_check_counts() -> None:
     assert longest_wait_s(bench_of(experiment()), 0.02) <= 0.02 + SLACK_S
 
 
-@pytest.mark.parametrize("late", ["the answer", "the host"])
+@pytest.mark.parametrize(("late", "protocol"), [
+    ("the answer", "feetech"), ("the host", "feetech"), ("the host", "dynamixel"),
+])  # fmt: skip
 @pytest.mark.parametrize(("late_s", "ends"), [
-    ([0.045], False), ([0.015], False), ([0.014] * 3, False), ([0.014] * 5, True), ([0.025, 0.0] * 3, True),
+    ([0.045], False), ([0.015], False), ([0.014] * 3, False), ([0.02] * 9, True), ([0.03, 0.0] * 3, True),
     ([0.025, 0.0, 0.0, 0.0, 0.0, 0.0] * 3, False),
 ])  # fmt: skip
 def test_late_answers_end_a_run_only_where_together_they_take_longer_than_one_may(
-    late_s: list[float], ends: bool, late: str
+    late_s: list[float], ends: bool, late: str, protocol: str
 ) -> None:
     """A host that stood still for 15 ms ended a run. All of them fall into the time in which a loop reacts."""
-    bench, coming = Bench("feetech"), list(late_s)
+    bench, coming = Bench(protocol), list(late_s)
     bench.armed()
     bench.tick(1.0)
     real = bench.bus.write
@@ -126,6 +135,17 @@ def test_late_answers_end_a_run_only_where_together_they_take_longer_than_one_ma
         )
     fault = bench.fault_within(12, 1.0)
     assert (fault is not None and fault.code == "LINK_TIMEOUT") if ends else fault is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_joint_whose_answers_are_often_late_runs_on(seed: int) -> None:
+    """A fifth of them come 2 to 8 ms late, as behind a busy USB: nine runs of ten ended."""
+    bench, rng = bench_of(experiment(attached="joint")), random.Random(seed)
+    bench.armed()
+    bench.bus.bus.disturbance = lambda direction, data, _: (
+        [(rng.uniform(0.002, 0.008) if direction == "reply" and rng.random() < 0.2 else 0.0, data)]
+    )
+    assert all(bench.fault_within(1, 1.0 if k % 2 else -1.0) is None for k in range(300))
 
 
 @pytest.mark.parametrize("happens", [alert, protects, torque_off])
