@@ -373,8 +373,9 @@ class PortBackend(LineBackend):
         spare_s = longest_s - self.budget(d).total_s
         ticks = REACTS_TICKS + self.writes_first(d)
         late = min(int(spare_s / d.period_s), ticks)
-        ticks_words = f", or {late} of any {ticks} ticks a period late each" if late else ""
-        return f"late answers: one may come {1e3 * spare_s:.0f} ms late{ticks_words}; more ends the run"
+        which = "each" if late == ticks else f"{late} of {ticks} in a row"
+        by_a_period = f", or {which} by a period" if late else ""
+        return f"late answers: one may be late by {1e3 * spare_s:.0f} ms{by_a_period}; more ends the run"
 
     def _line_of_port(self, d: DeviceSetup, port: str, *, emulated: bool = False) -> Line:
         transport = self.opening().transport(d, port, emulated=emulated)
