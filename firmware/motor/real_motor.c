@@ -19,6 +19,7 @@ static const double EVENT_S = sizeof(double) < 8u ? 1e-7 : 1e-14;
 static const double STRETCH = sizeof(double) < 8u ? 4.0 : 1.0;
 static const double HUGE_POWER = sizeof(double) < 8u ? 80.0 : 700.0;
 /* Largest steps, so that a relay test of 20 s stays within 1e-6 rad of its exact motion. */
+static const double LONGEST_STEP = 2.0;     /* of tau, s/s: of longer ones rounding takes the weights, and events are far */
 static const double CURVED_STEP = 0.05;     /* of tau, s/s; a drag, a bridge, a Stribeck effect, which grows beyond standstill */
 static const double STEP_OF_TAU = sizeof(double) < 8u ? 0.05 : 0.1; /* s/s; any other part that changes the right side */
 static const double SHORT_LAG_S = 1e-3;     /* of a shorter lag the derivative would suffer before the motion does */
@@ -466,20 +467,20 @@ static real_state moved(const motor *restrict m, double sign, const real_state *
     return in;
 }
 
-/* Largest step in the direction `sign` with a small error, whose first stage is `s`; infinite for a linear motion. */
+/* Largest step in the direction `sign` with a small error, whose first stage is `s`. */
 static double longest_step(const motor *m, double sign, const real_state *at, double staged_V, double t_s, const stages *s)
 {
-    if (EXACT && m->linear) {
-        return INFINITY;
-    }
-    double longest = INFINITY;
     const double tau = m->tau_s;
+    double longest = LONGEST_STEP * tau;
+    if (EXACT && m->linear) {
+        return longest;
+    }
     const double speed = fabs(at->v);
     const double pull = fabs(s->a1 - at->v) / tau;
     double distance = m->turns ? STEP_OF_TURN : INFINITY;
     double spring = 0.0;
     if (m->lag_s > 0.0 && at->w != staged_V) {
-        longest = STEP_OF_LAG * m->lag_s * pow(fabs(at->w - staged_V) * most(m->lag_s, SHORT_LAG_S), -0.2);
+        longest = least(longest, STEP_OF_LAG * m->lag_s * pow(fabs(at->w - staged_V) * most(m->lag_s, SHORT_LAG_S), -0.2));
     }
     if (m->cogs) {
         if (m->cogging_per_rad != 0.0) {

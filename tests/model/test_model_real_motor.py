@@ -399,6 +399,16 @@ def test_a_motor_that_would_take_steps_without_end_is_given_up() -> None:
     assert np.all(np.isnan(response(stiff, FRAME, (t_s, np.full(5, 1.0)), t_s, Pieces.one())))
 
 
+@pytest.mark.parametrize("name", ["lag", "load_friction", "no_brake"])
+def test_rows_many_time_constants_apart_read_as_those_of_closer_ones(name: str) -> None:
+    """A step over all of them would lose its weights to rounding, and the torque that turns early in it."""
+    motor = with_parts(name)._replace(tau_s=1e-3, fc_V=0.05, bias_V=0.2)
+    drive = np.array([0.0, 0.5, 1.0, 1.5, 2.0]), np.array([6.0, -6.0, 0.0, -2.0, 6.0])
+    t_s = np.arange(0.0, 3.0, 0.001)
+    close, far = (response(motor, FRAME, drive, rows, Pieces.one(0.0, 0.1)) for rows in (t_s, t_s[::500]))
+    assert far == pytest.approx(close[::500], abs=1e-6)
+
+
 def test_numbers_out_of_range_are_refused() -> None:
     record = (np.zeros(1), np.zeros(1)), np.arange(3.0), Pieces.one()
     with pytest.raises(ValueError, match="backlash_rad must be at least 0"):
