@@ -15,6 +15,7 @@ import click
 from rig.cli.shared import EXIT_FAILED, FILE, fail, fail_config, written
 from rig.config import ConfigError, new_bench
 from rig.config.bridges import BRIDGES, RUNS_FREE
+from rig.config.edit import with_values
 
 VALUES = {"--bridge": "NAME", "--no-load-rpm": "RPM", "--counts-per-turn": "COUNTS"}  # of what has no default
 _SERVO: Final = "servo"
@@ -92,6 +93,7 @@ def init(
     from rig.backends.links.usb_port import usb_port
     from rig.backends.serial.flashing import board_of
     from rig.running import preflight
+    from rig.running.preflight.rehearsal import swings_in_reach
     from rig.running.preflight.room_to_stop import longest_watchdog_s
 
     asks = not yes
@@ -171,8 +173,11 @@ def init(
                 new.write(text)
             experiment, _ = preflight.check(file)
             longest_s = longest_watchdog_s(experiment)
+            fitting = swings_in_reach(experiment)
             if longest_s is not None and longest_s != experiment.daq.watchdog_s:
-                file.write_text(new_bench.with_watchdog(text, longest_s), encoding="utf-8")
+                fitting["daq", "watchdog_s"] = longest_s
+            if fitting:
+                file.write_text(with_values(text, fitting), encoding="utf-8")
                 experiment, _ = preflight.check(file)
     except ConfigError as error:
         fail_config(

@@ -29,7 +29,7 @@ _LEAST_COUNTS: Final = 400.0  # of an encoder, for a turn of the measured shaft
 _MOTION_RAD: Final = 0.025  # breakaway.motion_rad of the examples
 _MOTION_COUNTS: Final = 4.0  # of an encoder, that it is at least
 _LEAST_TURNS: Final = 2.0
-_LEAST_CYCLE_COUNTS: Final = 34.0  # of the sensor: the second test's are 0.7 of them less 15 %, and need 20
+LEAST_CYCLE_COUNTS: Final = 34.0  # of the sensor: the second test's are 0.7 of them less 15 %, and need 20
 
 
 class AnswerError(CauseError):
@@ -200,16 +200,18 @@ def text(answers: Answers, file: str) -> str:
     middle = (board.counts_max + 1) // 2
     counts = round(min(calibrated_rad / _POTENTIOMETER_RAD * board.counts_max, 0.48 * board.counts_max))
     count_rad = calibrated_rad / counts if answers.sensor == "potentiometer" else 2.0 * math.pi / answers.counts
-    seen_rad = math.ceil(100.0 * _LEAST_CYCLE_COUNTS * count_rad) / 100.0
+    seen_rad = math.ceil(100.0 * LEAST_CYCLE_COUNTS * count_rad) / 100.0
+    full_V = answers.supply_V
     top_rad_s = math.ceil(answers.no_load_rpm * math.pi / 30.0 * 10.0) / 10.0
     values: dict[Path, Value] = {
         ("name",): _name_of(file),
         ("daq", "port"): answers.port,
         ("sensor", "calibration"): [{"counts": middle + way * counts, "rad": way * calibrated_rad} for way in (-1, 1)],
         ("drive", "bridge"): module.inputs,
-        ("drive", "supply_V"): answers.supply_V,
+        ("drive", "supply_V"): full_V,
         ("drive", "bridge_drop_V"): module.drop_V,
-        ("drive", "max_V"): min(3.0, round(0.5 * (answers.supply_V - module.drop_V), 1)),
+        ("drive", "max_V"): round(min(max(3.0, full_V / 4.0), 0.5 * (full_V - module.drop_V)), 1),
+        ("breakaway", "max_V"): round(max(1.5, full_V / 8.0), 2),  # friction grows with the supply that a motor is for
         ("motor", "no_load_speed_rad_s"): top_rad_s,
         ("limits", "soft_rad"): [-soft_rad, soft_rad],
         ("limits", "hard_rad"): [-hard_rad, hard_rad],
@@ -235,11 +237,6 @@ def _name_of(file: str) -> str:
     """The name of runs by this config: that of the file, where it can be one."""
     stem = PurePath(file).stem
     return stem if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,39}", stem) else "bench"
-
-
-def with_watchdog(config: str, watchdog_s: float) -> str:
-    """The config with this watchdog time, s: the longest that leaves room to stop needs the config to be read."""
-    return with_values(config, {("daq", "watchdog_s"): watchdog_s})
 
 
 def _with_encoder(config: str, answers: Answers) -> str:

@@ -14,8 +14,9 @@ from evidence import evidence
 from rig.cli import main
 from rig.config import new_bench, ready
 from rig.config.bridges import BRIDGES
-from rig.config.load import load
+from rig.config.load import load, load_with_places
 from rig.running import preflight
+from rig.running.preflight.rehearsal import FRICTION_SHARE, DataSheet, rehearsed
 
 ANSWERED = ("--yes", "--bridge", "l298n", "--no-load-rpm", 590, "--port", "/dev/ttyUSB0")
 
@@ -54,6 +55,22 @@ def test_any_bridge_and_travel_pass(tmp_path: Path, bridge: str, travel_deg: flo
         answers = new_bench.Answers(*told, tests=tests)
         file.write_text(new_bench.text(answers, "bench.yaml"), encoding="utf-8")
         preflight.check(file)
+
+
+@pytest.mark.parametrize("supply_V", [6.5, 24.0])
+@pytest.mark.parametrize("rpm", [20, 60, *evidence(120, 300)])
+def test_a_slow_motor_or_a_high_supply_gets_swings_that_a_rehearsal_can_make(
+    tmp_path: Path, supply_V: float, rpm: int
+) -> None:
+    """19 of 48 fresh configs were refused by the command that `rig init` names next, or ended in NO_MOTION."""
+    file = tmp_path / "bench.yaml"
+    for travel_deg in (50, 103):
+        told = (*ANSWERED[:3], "--no-load-rpm", rpm, *ANSWERED[5:], "--supply-V", supply_V, "--travel-deg", travel_deg)
+        made = rig("init", file, *told, "--tests", "full")
+        assert made.exit_code == 0, made.output
+        e = rehearsed(load_with_places(file)[1], DataSheet())  # refuses swings out of reach
+        assert e.breakaway.max_V >= 1.9 * FRICTION_SHARE * supply_V
+        file.unlink()
 
 
 def test_somebody_who_answers_is_asked_for_the_rest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -164,8 +164,14 @@ class LogColumn:
                 raise LogFormatError(
                     f"--{quantity} {text}: the column comes first, then its unit", f"type --{quantity} {unit}:{column}"
                 )
+            if quantity == "position" and unit in ("V", "mV"):
+                raise LogFormatError(
+                    f"--position {text}: {unit} alone says nothing of the angle",
+                    f"of a potentiometer count its {unit}, and say how many one turn is: --position "
+                    f"{column or 'COLUMN'}:counts --counts-per-turn {'6' if unit == 'V' else '6000'}",
+                )
             example = next(iter(UNITS[quantity]))
-            named = f"--{quantity} {unit or 'COLUMN'}:{example}"
+            named = f"--{quantity} {(column if colon else unit) or 'COLUMN'}:{example}"
             raise LogFormatError(
                 f"--{quantity} {text}: {unit!r} is no unit of {quantity}",
                 f"give one of {units}; with a column before it if its name does not tell: {named}",

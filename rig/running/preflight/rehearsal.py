@@ -7,7 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from rig.backends.registry import backend_of
-from rig.config.problems import ConfigError, Problem, wrong
+from rig.config.edit import Value
+from rig.config.new_bench import LEAST_CYCLE_COUNTS
+from rig.config.problems import ConfigError, Path, Problem, wrong
 from rig.config.schema import EmulatedMotor, Experiment
 from rig.config.yaml12 import Document
 from rig.core.errors import CauseError
@@ -22,6 +24,8 @@ _NOISE_SHARE = 7e-4  # of a potentiometer's range: standard deviation; 3 mrad of
 _BEYOND_HARD_RAD = 0.2  # from the hard limits to the mechanical stops: docs/real-bench.md asks for it
 _SLACK = 1.01  # the config's digits are rounded
 _OUT_OF_REACH = 1.1  # times drive.max_V: a describing function is only about right
+_IN_REACH = 0.8  # of drive.max_V, of a new config's swings: the motor may be slower than it says
+_SLOWER, _SLOWEST = 1.05, 8.0  # from one try to the next; slower ones take too long
 
 
 class SheetError(CauseError):
@@ -98,6 +102,40 @@ def made_motor(sheet: DataSheet, e: Experiment) -> dict[str, float]:
     return {name: float(f"{value:.4g}") for name, value in made.items()}
 
 
+def swings_in_reach(e: Experiment) -> dict[Path, Value]:
+    """Keys of the config's swings that a typical motor of ``motor`` makes with ``drive.max_V``; {}: its own are.
+
+    All are slower and smaller by one share, but none is too small for the sensor.
+    """
+    made = made_motor(DataSheet(), e)
+    tau_s, gain = made["tau_s"], made["K_rad_s_V"]
+    friction_V = 0.5 * (made["fc_plus_V"] + made["fc_minus_V"])
+    target, sines = e.relay.target, () if e.tracking is None else e.tracking.trajectory
+    least_rad = LEAST_CYCLE_COUNTS * e.sensor.curve.lsb_rad
+    by = 1.0
+    while True:
+        swing = None if target is None else (max(target.amplitude_rad / by, least_rad), target.period_s * by)
+        swing_V = 0.0 if swing is None else _needed_V(gain, tau_s, friction_V, *swing)
+        speed_V = sum(s.amplitude_rad * s.omega_rad_s * (1.0 + tau_s * s.omega_rad_s / by) for s in sines) / gain
+        if max(swing_V, friction_V + speed_V / by**2) <= _IN_REACH * e.drive.max_V or by > _SLOWEST:
+            break
+        by *= _SLOWER
+    if by == 1.0:
+        return {}
+    found: dict[Path, Value] = {}
+    if swing is not None:
+        found["relay", "target"] = {
+            "amplitude_rad": math.ceil(100.0 * swing[0]) / 100.0,
+            "period_s": round(swing[1], 1),
+        }
+    if sines:
+        found["tracking", "trajectory"] = [
+            {"amplitude_rad": round(s.amplitude_rad / by, 3), "omega_rad_s": round(s.omega_rad_s / by, 2)}
+            for s in sines
+        ]
+    return found
+
+
 def rehearsed(document: Document, sheet: DataSheet, pace: float | None = None) -> Experiment:
     """The checked experiment on an emulated device in virtual time: all but the device is the config's own.
 
@@ -169,7 +207,7 @@ def _unfit(e: Experiment, motor: EmulatedMotor) -> Iterator[Problem]:
         )
     target = e.relay.target
     if target is not None:
-        needed_V = _needed_V(motor, friction_V, target.amplitude_rad, target.period_s)
+        needed_V = _needed_V(motor.K_rad_s_V, motor.tau_s, friction_V, target.amplitude_rad, target.period_s)
         if needed_V > _OUT_OF_REACH * e.drive.max_V:
             yield wrong(
                 "relay.target",
@@ -187,11 +225,11 @@ def _unfit(e: Experiment, motor: EmulatedMotor) -> Iterator[Problem]:
         )
 
 
-def _needed_V(motor: EmulatedMotor, friction_V: float, amplitude_rad: float, period_s: float) -> float:
+def _needed_V(K_rad_s_V: float, tau_s: float, friction_V: float, amplitude_rad: float, period_s: float) -> float:
     """Both gains of the relay together, V, that swing the motor so, by the describing function (docs/theory.md 4)."""
     omega_rad_s = 2.0 * math.pi / period_s
-    speed_V = 0.25 * math.pi * amplitude_rad * omega_rad_s / motor.K_rad_s_V
-    h2_V, h1_V = speed_V + friction_V, speed_V * omega_rad_s * motor.tau_s
+    speed_V = 0.25 * math.pi * amplitude_rad * omega_rad_s / K_rad_s_V
+    h2_V, h1_V = speed_V + friction_V, speed_V * omega_rad_s * tau_s
     return h1_V + h2_V
 
 
