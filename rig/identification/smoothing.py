@@ -97,11 +97,8 @@ class Smoothing(NamedTuple):
             return replace(test.part(0, way.size), u_V=np.abs(test.u_V[: way.size]) * way)
         if self.order == RAMP:
             return replace(test, u_V=_without_ramps(test.u_V))
-        # undone, a reading has no steps, by which its unit would be known; and a filter that is too long would make it
-        # earlier than its row: samples never are, others by half a row, as where samples were summed as means
-        known, period_s = test.units_stated or divides_a_turn(test.resolution_rad()), test.period_s
-        delay_s = period_s * (1.0 if test.reads == "samples" else 0.5), test.longest_delay_s - period_s
-        test = replace(test, units_stated=known, delay_s=test.delay_s if self.column == "drive" else delay_s)
+        # undone, a reading has no steps, by which its unit would be known
+        test = replace(test, units_stated=test.units_stated or divides_a_turn(test.resolution_rad()))
         for _ in range(self.order):
             test = test if self.column == "drive" else unfiltered(test, self.size_s)
             test = test if self.column == "reading" else unfiltered(test, self.size_s, of_drive=True)

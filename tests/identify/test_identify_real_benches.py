@@ -44,7 +44,6 @@ from rig.identification.motor_law import Beginning
 from rig.identification.noise import Noise
 from rig.identification.plausibility import judge_records
 from rig.identification.preprocessing import evened
-from rig.identification.smoothing import Smoothing
 from rig.identification.thinning import COARSEST_PATH_RAD, of_one_step, showing_the_angle, thinned
 from rig.identification.verdict import MORE_CYCLES, by_prediction, reserved
 from rig.model.compiled.row_filter import filtered
@@ -54,7 +53,6 @@ from rig.run_folder.recording.errors import IdentifyError
 from rig.run_folder.recording.log_format import LogColumn, LogFormat
 from rig.run_folder.recording.reader import read_all
 from rig.run_folder.recording.recording import from_columns
-from rig.run_folder.recording.sample_columns import Reads
 from rig.run_folder.recording.series import TimeSeries
 from rig.run_folder.results import Answer, GradedNumber
 from shared.pieces import Pieces, response
@@ -459,16 +457,6 @@ def test_a_dead_band_that_hides_all_small_drives_stays_though_a_little_more_of_i
     answer = answered((t_s, u_V, y_rad + 1e-4 * np.random.default_rng(1).standard_normal(t_s.size)))
     assert [law.name for law in answer.law or ()] == ["dead_band"] and right(answer, motor, 0.01, "tau_s")
     assert answer.grade is not None and answer.grade["K_rad_s_V"].grade == "not known", answer
-
-
-@pytest.mark.parametrize(("reads", "rows_early"), [("samples", 0.0), ("speed", 0.5), ("angle", 0.5)])
-def test_an_undone_sample_is_no_earlier_than_its_row_and_other_readings_by_half_a_row(
-    reads: Reads, rows_early: float
-) -> None:
-    """A filter that is too long was: of 79 ms for 48 it was a row early, tau 17 % off beside 6.6 %, K 6 beside 4.2."""
-    t_s, u_V, y_rad = recorded(MOTOR, (5.0,), rows=50)
-    undone = Smoothing("reading", 0.02, 1).undone(TimeSeries(t_s, y_rad, None, u_V, reads=reads))
-    assert undone.earliest_delay_s == pytest.approx(-rows_early * PERIOD_S)
 
 
 @pytest.mark.parametrize(("tau_s", "filter_s", "drives_V"), [(0.025, 0.06, (5.0,)), (0.4, 1.0, (3.0, 5.0, 6.0))])
