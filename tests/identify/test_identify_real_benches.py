@@ -459,6 +459,25 @@ def test_a_dead_band_that_hides_all_small_drives_stays_though_a_little_more_of_i
     assert answer.grade is not None and answer.grade["K_rad_s_V"].grade == "not known", answer
 
 
+def test_a_smoothed_velocity_that_is_read_at_the_end_of_its_row_is_undone(tmp_path: Path) -> None:
+    """As where a sketch sets the drive, waits, reads and prints: held to its row, tau was up to 40 % off beside 17 %."""
+    motor, period_s, filter_s = MOTOR._replace(tau_s=0.12, K_rad_s_V=3.0), 0.02, 0.1
+    t_s, u_V, _ = recorded(motor, (0.0, 3.0, 5.0, 7.0), rows=4000)
+    u_V = np.repeat(u_V[::4], 4)
+    fine = response(motor, Frame(duration_s=20.0), (t_s, u_V), t_s, Pieces.one())
+    v = np.gradient(fine, t_s)[::4]
+    v += 0.003 * np.ptp(v) * np.random.default_rng(1).standard_normal(v.size)
+    stays = math.exp(-period_s / filter_s)
+    for k in range(1, v.size):
+        v[k] = stays * v[k - 1] + (1.0 - stays) * v[k]
+    log = tmp_path / "printed.csv"
+    rows = zip(t_s[::4], np.append(u_V[:1], u_V[:-4:4]), v, strict=True)
+    log.write_text("".join(f"{t:.3f},{u},{speed:.4f}\n" for t, u, speed in rows))
+    answer = identify(read_all(log, LogFormat(LogColumn("s"), LogColumn("V"), velocity=LogColumn("rad/s")))).answer
+    assert answer is not None and answer.u95 is not None
+    assert right(answer, motor, 0.05, "tau_s", "K_rad_s_V")
+
+
 @pytest.mark.parametrize(("tau_s", "filter_s", "drives_V"), [(0.025, 0.06, (5.0,)), (0.4, 1.0, (3.0, 5.0, 6.0))])
 def test_a_filter_longer_than_tau_may_be_the_motor_and_then_tau_is_not_known(
     tau_s: float, filter_s: float, drives_V: tuple[float, ...]
