@@ -998,6 +998,17 @@ def test_a_column_that_was_smoothed_behind_a_bridge_that_does_not_brake_is_undon
     assert found.answer is not None and right(found.answer, MOTOR, 0.025, "tau_s", "K_rad_s_V", "fc_V")
 
 
+def test_a_drive_that_was_measured_behind_a_filter_and_such_a_bridge_is_undone() -> None:
+    """It is never 0 V: only undone does it show the bridge. Where that had to come first, such a log was refused."""
+    motor = MOTOR._replace(no_brake=0.9)
+    t_s, u_V, y_rad = recorded(motor, (0.0, 3.0, 6.0, 9.0), rows=1600)
+    for k in range(1, t_s.size):
+        u_V[k] = u_V[k - 1] + (1.0 - math.exp(-PERIOD_S / 0.15)) * (u_V[k] - u_V[k - 1])
+    found = found_in((t_s, u_V, y_rad))
+    assert any("the drive is low-passed by 150 ms" in change for change in found.changes), found.changes
+    assert found.answer is not None and right(found.answer, motor, 0.025, "tau_s", "K_rad_s_V", "fc_V")
+
+
 @pytest.mark.evidence
 def test_where_a_law_of_another_kind_leaves_hardly_more_the_number_is_as_wide_as_both() -> None:
     """Friction that falls with the square of the speed, in a slow loop: a drag and K 80 % too large fit it, too."""
