@@ -460,7 +460,7 @@ def test_a_dead_band_that_hides_all_small_drives_stays_though_a_little_more_of_i
 
 
 def test_a_smoothed_velocity_that_is_read_at_the_end_of_its_row_is_undone(tmp_path: Path) -> None:
-    """As where a sketch sets the drive, waits, reads and prints: held to its row, tau was up to 40 % off beside 17 %."""
+    """As where a sketch sets the drive, waits, reads and prints: held to its row, tau was 40 % off beside 17 %."""
     motor, period_s, filter_s = MOTOR._replace(tau_s=0.12, K_rad_s_V=3.0), 0.02, 0.1
     t_s, u_V, _ = recorded(motor, (0.0, 3.0, 5.0, 7.0), rows=4000)
     u_V = np.repeat(u_V[::4], 4)
