@@ -57,8 +57,7 @@ WAY_ROWS = range(1, 13)
 # By what is left with a filter this share larger or smaller its size is known: to KNOWN times the share that would make
 # the squares of what is left twice as large. In 11 made logs it was off by 0.95 of that share at most, in 10 by 0.42.
 BESIDE, KNOWN = 0.15, 0.6
-COAST_S = 0.1  # bridges that do not brake are looked at beyond a share of the way in it
-MORE = 0.95  # residual behind such a bridge over that behind one that brakes, at most: in 20 made logs it was 0.87
+NO_BRAKES, COAST_S = ({"runs_free": 1.0}, {"no_brake": 1.0}), 0.1  # they are looked at beyond a share of the way in it
 
 
 class Smoothing(NamedTuple):
@@ -97,11 +96,8 @@ class Smoothing(NamedTuple):
             return replace(test.part(0, way.size), u_V=np.abs(test.u_V[: way.size]) * way)
         if self.order == RAMP:
             return replace(test, u_V=_without_ramps(test.u_V))
-        # undone, a reading has no steps, by which its unit would be known; and a filter that is too long would make it
-        # earlier than its row: samples never are, others by half a row, as where samples were summed as means
-        known, period_s = test.units_stated or divides_a_turn(test.resolution_rad()), test.period_s
-        delay_s = period_s * (1.0 if test.reads == "samples" else 0.5), test.longest_delay_s - period_s
-        test = replace(test, units_stated=known, delay_s=test.delay_s if self.column == "drive" else delay_s)
+        # undone, a reading has no steps, by which its unit would be known
+        test = replace(test, units_stated=test.units_stated or divides_a_turn(test.resolution_rad()))
         for _ in range(self.order):
             test = test if self.column == "drive" else unfiltered(test, self.size_s)
             test = test if self.column == "reading" else unfiltered(test, self.size_s, of_drive=True)
@@ -186,11 +182,11 @@ def smoothing(tests: Sequence[TimeSeries], plain: Estimate) -> Smoothing | None:
 
 
 def _bridges(tests: Sequence[TimeSeries], plain: Estimate) -> Iterator[Mapping[str, float]]:
-    """Bridges that do not brake, and one that lets the motor run free between its pulses, where they explain more."""
-    without_rad = plain_in_pieces(tests, plain).rms_rad
-    for bridge, share in (({"runs_free": 1.0}, MORE), ({"no_brake": 1.0}, MORE), (free_between(tests), PROMISING)):
-        if plain_in_pieces(tests, plain, bridge).rms_rad < share * without_rad:
-            yield bridge
+    """Bridges that do not brake; one that lets the motor run free between its pulses only where it explains more."""
+    yield from NO_BRAKES
+    free = free_between(tests)
+    if plain_in_pieces(tests, plain, free).rms_rad < PROMISING * plain_in_pieces(tests, plain).rms_rad:
+        yield free
 
 
 def _behind(
