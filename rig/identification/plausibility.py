@@ -188,8 +188,8 @@ def _columns(test: TimeSeries, span_rad: float, motor: Estimate | None) -> list[
         return [
             Objection(
                 "refused",
-                f"{name}: the motor turns against its drive: type --reversed, or reverse the sign of u_V or y_rad; or "
-                "are they swapped?",
+                f"{name}: the motor turns against its drive: type --reversed (leave it out if you did), or reverse the "
+                "sign of u_V or y_rad; or are they swapped?",
             )
         ]
     return []

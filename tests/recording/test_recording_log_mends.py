@@ -280,6 +280,17 @@ def test_a_velocity_that_is_held_over_rows_is_read_where_it_is_new_and_keeps_eac
     assert any("new in every 4th row" in note for note in found.notes)
 
 
+@pytest.mark.parametrize(("largest", "is_told"), [(255, True), (250, False)])
+def test_a_drive_that_ends_at_full_drive_of_fewer_bits_is_told(
+    tmp_path: Path, bench: Bench, largest: int, is_told: bool
+) -> None:
+    """K was four times as large, and f_c a quarter, without a word."""
+    pwm = np.round(bench.pwm * largest / np.abs(bench.pwm).max())
+    log = log_of(tmp_path, {"ms": bench.ms, "pwm": pwm, "counts": bench.counts})
+    told = [note for note in read(log, replace(COUNTED, full=1023)).notes if "is it --full 255?" in note]
+    assert bool(told) == is_told
+
+
 def test_a_drive_beyond_full_is_refused_with_what_full_may_be(tmp_path: Path, bench: Bench) -> None:
     columns = {"ms": bench.ms, "pwm": 4.0 * bench.pwm, "counts": bench.counts}
     with pytest.raises(RecordingError, match=r"the drive is 596, and --full says 255; .*such as --full 1023"):

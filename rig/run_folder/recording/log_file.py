@@ -314,6 +314,11 @@ def _drive_V(path: Path, u: Floats, one: LogColumn, log: LogFormat, rows: Sequen
     if most is not None and most >= _NO_DUTY and largest <= 1.0 and u.size >= _FEWEST_ROWS and np.any(u != np.round(u)):
         cause = f"the drive is a fraction, at most {largest:g}, and in {one.unit} full drive is {most:g}"
         raise RecordingError(path, cause, "give the unit that it is in, such as --drive COLUMN:duty", rows[0])
+    if most is not None and one.unit == "pwm" and largest in _FULL and largest < most:
+        notes.append(
+            f"the drive is {largest:g} at most, full drive in {int(largest).bit_length()} bits, and --full says "
+            f"{most:g}: is it --full {largest:g}? Then K is {largest / most:.2g} times as large"
+        )
     return np.asarray(log.scale("drive", one.unit) * u)
 
 
