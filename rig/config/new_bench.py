@@ -29,6 +29,7 @@ _LEAST_COUNTS: Final = 400.0  # of an encoder, for a turn of the measured shaft
 _MOTION_RAD: Final = 0.025  # breakaway.motion_rad of the examples
 _MOTION_COUNTS: Final = 4.0  # of an encoder, that it is at least
 _LEAST_TURNS: Final = 2.0
+_LEAST_MOST_V: Final = 3.0  # drive.max_V, and relay.search.h_max_V where it is left out
 LEAST_CYCLE_COUNTS: Final = 34.0  # of the sensor: the second test's are 0.7 of them less 15 %, and need 20
 
 
@@ -202,6 +203,7 @@ def text(answers: Answers, file: str) -> str:
     count_rad = calibrated_rad / counts if answers.sensor == "potentiometer" else 2.0 * math.pi / answers.counts
     seen_rad = math.ceil(100.0 * LEAST_CYCLE_COUNTS * count_rad) / 100.0
     full_V = answers.supply_V
+    most_V = round(min(max(_LEAST_MOST_V, full_V / 4.0), 0.5 * (full_V - module.drop_V)), 1)
     top_rad_s = math.ceil(answers.no_load_rpm * math.pi / 30.0 * 10.0) / 10.0
     values: dict[Path, Value] = {
         ("name",): _name_of(file),
@@ -210,7 +212,7 @@ def text(answers: Answers, file: str) -> str:
         ("drive", "bridge"): module.inputs,
         ("drive", "supply_V"): full_V,
         ("drive", "bridge_drop_V"): module.drop_V,
-        ("drive", "max_V"): round(min(max(3.0, full_V / 4.0), 0.5 * (full_V - module.drop_V)), 1),
+        ("drive", "max_V"): most_V,
         ("breakaway", "max_V"): round(max(1.5, full_V / 8.0), 2),  # friction grows with the supply that a motor is for
         ("motor", "no_load_speed_rad_s"): top_rad_s,
         ("limits", "soft_rad"): [-soft_rad, soft_rad],
@@ -221,6 +223,8 @@ def text(answers: Answers, file: str) -> str:
             {"amplitude_rad": round(share * size, 2), "omega_rad_s": omega} for share, omega in ((0.4, 1.5), (0.2, 3.1))
         ],
     }
+    if most_V > _LEAST_MOST_V:
+        values["relay", "search"] = {"h_max_V": most_V}
     if answers.usb_serial:  # of this bench's board: another one at the port is refused
         values["daq", "usb_serial"] = answers.usb_serial
     new = with_values(ready.text(board.example), values)
