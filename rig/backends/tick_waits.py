@@ -16,6 +16,7 @@ from rig.backends.link_budget import LINK_SHARE
 REACTS_TICKS: Final = 3  # that a loop needs: one until it reads the motion, two by which its velocity lags
 UNWATCHED_S: Final = 0.1  # the longest that a drive may act on where no watchdog of the device ends it
 
+_ROUNDING_S: Final = 1e-9
 _READINGS: Final = 2  # of a tick: another one where the host stood still
 
 
@@ -46,9 +47,14 @@ class TickWaits:
         self._readings, self._is_driven = 0, False
 
     @property
+    def is_over(self) -> bool:
+        """Whether they have taken more: what has come while this process stood still counts, however late."""
+        return self.left_s < -_ROUNDING_S
+
+    @property
     def words(self) -> str:
         """Why the next exchange may not wait for longer, for people."""
-        return f"late replies may take {1e3 * self.longest_s:g} ms together, all that `rig check` counts"
+        return f"late replies may take {1e3 * self.longest_s:.0f} ms together, all that `rig check` counts"
 
     @property
     def left_s(self) -> float:

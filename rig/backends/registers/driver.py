@@ -543,8 +543,9 @@ class RegisterDriver(ABC, Generic[Req]):
         # also where this process was late; for longer no drive acts
         self._waits.take(min(self._transport.now_s() - begun_s, self._acts_s))
         self._late_in_a_row = self._late_in_a_row + 1 if reply.round_trip_s > self._unfit_s else 0
-        if self._late_in_a_row >= _LATE_REPLIES:
-            ends = Fault("LINK_TIMEOUT", f"{_LATE_REPLIES} replies in a row took over {1e3 * self._unfit_s:g} ms")
+        if self._waits.is_over or self._late_in_a_row >= _LATE_REPLIES:
+            in_a_row = f"{_LATE_REPLIES} replies in a row took over {1e3 * self._unfit_s:g} ms"
+            ends = Fault("LINK_TIMEOUT", self._waits.words if self._waits.is_over else in_a_row)
             self._explain(ends)
             raise ends
         return reply

@@ -416,24 +416,25 @@ class SerialDriver:
         waits for as long as the device's watchdog lets the last drive act. Raises Fault LINK_TIMEOUT without an answer,
         and when three readings in a row had to be repeated.
         """
-        self._waits.read(self._exchange.now_s())
+        begun_s = self._exchange.now_s()
+        self._waits.read(begun_s)
         seqs = [self._exchange.send(Kind.READ)]
         sent_s = self._exchange.now_s()  # a host that stood still may have sent it late
-        ends_s = self._ends_s(sent_s)
+        ends_s = self._ends_s(begun_s, sent_s)
         until_s = sent_s + _ASK_AGAIN * self._timeout_s
         while True:
             damage_ends = len(seqs) < _READS_AT_ONCE
             packet = self._exchange.wait(seqs, Kind.STATE, min(until_s, ends_s), damage_ends=damage_ends)
             if packet is not None:
-                if (took_s := self._exchange.now_s() - sent_s) <= self._waits.left_s:  # else this process stood still
-                    self._waits.take(took_s)
+                # also where this process stood still; for longer the watchdog lets no drive act
+                self._waits.take(min(self._exchange.now_s() - begun_s, self._watchdog_s))
                 self._again_in_a_row = 0 if len(seqs) == 1 else self._again_in_a_row + 1
-                if self._again_in_a_row < _READ_AGAIN:
+                is_over = self._armed and self._waits.is_over
+                if self._again_in_a_row < _READ_AGAIN and not is_over:
                     return packet
+                again = f"{_READ_AGAIN} readings in a row had to be asked for again"
                 state = "refused" if packet.kind == Kind.NACK else self._where(DeviceState.unpack(packet.body))
-                raise self._exchange.silence(
-                    Kind.READ, f"{_READ_AGAIN} readings in a row had to be asked for again; {state}"
-                )
+                raise self._exchange.silence(Kind.READ, f"{self._waits.words if is_over else again}; {state}")
             now_s = self._exchange.now_s()
             if now_s >= ends_s:
                 break
@@ -443,15 +444,19 @@ class SerialDriver:
         self._exchange.timeouts += 1
         raise self._exchange.silence(Kind.READ, f"no reply to {len(seqs)} READ within {1e3 * (ends_s - sent_s):.0f} ms")
 
-    def _ends_s(self, sent_s: float) -> float:
-        """Until when a tick waits for the answer to what it sent then, s: the watchdog bounds the drive meanwhile.
+    def _ends_s(self, begun_s: float, sent_s: float) -> float:
+        """Until when a tick that began then waits for the answer to what it sent, s: the watchdog bounds the drive.
 
         All ticks in which a loop reacts wait together for as long as preflight counts.
         """
-        if not self._armed or self._setup is None:
+        if not self._armed:
             return sent_s + self._timeout_s
-        watchdog_s = self._heard_s + 1e-3 * self._setup.watchdog_ms
-        return min(max(sent_s + self._timeout_s, watchdog_s), sent_s + self._waits.left_s)
+        longest_s = max(self._timeout_s, self._heard_s + self._watchdog_s - sent_s)
+        return min(sent_s + longest_s, max(begun_s + self._waits.left_s, sent_s))
+
+    @property
+    def _watchdog_s(self) -> float:
+        return LONGEST_WATCHDOG_S if self._setup is None else 1e-3 * self._setup.watchdog_ms
 
     def write(self, u_V: float) -> None:
         """Send the drive; there is no reply. Raises ValueError beyond supply and bridge, Fault LINK_LOST.

@@ -533,6 +533,22 @@ def test_replies_that_are_late_one_after_the_other_end_the_run(rig: Rig) -> None
     assert fault.code == "LINK_TIMEOUT" and "3 replies in a row took over" in fault.detail
 
 
+def test_a_host_that_stands_still_again_while_a_loop_reacts_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each time the reply had come meanwhile, so nothing was waited for; with FC23 no other exchange is in its tick."""
+    rig = Rig(experiment_with())
+    rig.arm()
+    write = rig.block.write
+    stands_s = iter([0.0, 0.09, 0.0, 0.0, 0.0, 0.0, 0.09, 0.0, 0.09, 0.0])  # once is borne, now and then
+
+    def stands_still(data: bytes) -> None:
+        write(data)
+        rig.block.sleep_until(rig.block.now_s() + next(stands_s, 0.0))
+
+    monkeypatch.setattr(rig.block, "write", stands_still)
+    fault = rig.fault_while_driving(10)
+    assert "all that `rig check` counts" in fault.detail and list(stands_s) == [0.0]
+
+
 @pytest.mark.parametrize("at", [3, 5], ids=["address", "how many"])
 def test_a_write_that_is_confirmed_otherwise_is_a_fault(at: int) -> None:
     """Asked separately the drive goes out by FC16, whose reply repeats where and how many registers."""

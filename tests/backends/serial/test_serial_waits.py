@@ -16,6 +16,7 @@ from rig.backends.registry import unopened
 from rig.backends.serial.driver import SerialDriver
 from rig.config import load
 from rig.config.schema import DeviceSetup
+from rig.core.faults import Fault
 from rig.core.signals import Sample
 from rig.running.preflight.room_to_stop import known_reaction_s, reaction_periods
 from rig.testing.line import lines_opened_by
@@ -30,6 +31,7 @@ class LateLine:
     """A line of a device in virtual time, some of whose answers come late."""
 
     late: LateBus | None = None
+    stands_s = 0.0  # that the host stands still behind the next request
 
     def __init__(self, line: Transport, clock: Clock) -> None:
         self._line, self._coming = line, deque[tuple[float, bytes]]()
@@ -39,6 +41,8 @@ class LateLine:
         if self.late is not None:
             self.late("request", data, self.now_s())
         self._line.write(data)
+        stands_s, self.stands_s = self.stands_s, 0.0
+        self.sleep_until(self.now_s() + stands_s)
 
     def read(self, timeout_s: float) -> bytes:
         until_s = self.now_s() + timeout_s
@@ -70,13 +74,11 @@ class LateReadings:
         return self._driver.safe_stop()
 
 
-@pytest.mark.parametrize(("timeout_s", "watchdog_s", "period_s"), [
-    (0.01, 0.04, 0.01), (0.03, 0.1, 0.01), (0.06, 0.1, 0.02), (0.03, 0.2, 0.02),
-])  # fmt: skip
-def test_a_loop_reacts_within_the_time_that_the_room_to_stop_counts(
-    timeout_s: float, watchdog_s: float, period_s: float
-) -> None:
-    """Two readings in a row, each as late as the watchdog let it, took twice as long as was counted."""
+@contextmanager
+def opened(
+    timeout_s: float, watchdog_s: float, period_s: float = 0.01
+) -> Iterator[tuple[DeviceSetup, SerialDriver, LateLine]]:
+    """The emulated board of the demo behind a line that may be late, and its driver."""
     e = load(CONFIG)
     daq = e.daq.model_copy(update={"timeout_s": timeout_s, "watchdog_s": watchdog_s})
     d = e.model_copy(update={"period_s": period_s, "daq": daq}).device
@@ -88,11 +90,22 @@ def test_a_loop_reacts_within_the_time_that_the_room_to_stop_counts(
             lines.append(LateLine(line.transport, line.clock))
             yield line._replace(transport=lines[0])
 
-    longest_s = 0.0
     with lines_opened_by(behind_late), unopened(d) as bench:
-        driver, line = bench.driver, lines[0]
+        driver = bench.driver
         assert isinstance(driver, SerialDriver)
         driver.open()
+        yield d, driver, lines[0]
+
+
+@pytest.mark.parametrize(("timeout_s", "watchdog_s", "period_s"), [
+    (0.01, 0.04, 0.01), (0.03, 0.1, 0.01), (0.06, 0.1, 0.02), (0.03, 0.2, 0.02),
+])  # fmt: skip
+def test_a_loop_reacts_within_the_time_that_the_room_to_stop_counts(
+    timeout_s: float, watchdog_s: float, period_s: float
+) -> None:
+    """Two readings in a row, each as late as the watchdog let it, took twice as long as was counted."""
+    longest_s = 0.0
+    with opened(timeout_s, watchdog_s, period_s) as (d, driver, line):
         for seed in range(SEEDS):
             driver.arm(d.arming)
             line.late = late = LateBus(lambda: driver._waits.left_s, QUICK_S, timeout_s, seed, there=0.0)
@@ -102,3 +115,22 @@ def test_a_loop_reacts_within_the_time_that_the_room_to_stop_counts(
             driver.safe_stop()
             line.sleep_until(line.now_s() + 0.5)
     assert watchdog_s < longest_s <= known_reaction_s(d) + ROUNDING_S
+
+
+@pytest.mark.parametrize(("stands_s", "ends"), [
+    ([0.09], False), ([0.05, 0.0, 0.05, 0.0], False), ([0.08, 0.0, 0.08, 0.0], True), ([0.05] * 4, True),
+])  # fmt: skip
+def test_a_host_that_stands_still_again_while_a_loop_reacts_ends_the_run(stands_s: list[float], ends: bool) -> None:
+    """Where its reading had come meanwhile that counted for nothing: it drove on for three times as long as counted."""
+    with opened(0.03, 0.1) as (d, driver, line):
+        driver.arm(d.arming)
+        fault = None
+        try:
+            for host_s in [0.0, *stands_s, 0.0]:
+                line.stands_s, begins_s = host_s, line.now_s()
+                driver.read()
+                driver.write(0.1)
+                line.sleep_until(begins_s + d.period_s)
+        except Fault as caught:
+            fault = caught
+    assert (fault is not None and "all that `rig check` counts" in fault.detail) if ends else fault is None
