@@ -369,13 +369,17 @@ class PortBackend(LineBackend):
     def late_words(self, d: DeviceSetup) -> str:
         """How late answers may come until a run ends, for people."""
         watchdog_s, timeout_s = self.watchdog(d).time_s, d.daq.timeout_s
-        longest_s = unwatched_s(timeout_s, d.daq.watchdog_s) if watchdog_s is None else timeout_s + watchdog_s
-        spare_s = longest_s - self.budget(d).total_s
+        acts_s = unwatched_s(timeout_s, d.daq.watchdog_s) if watchdog_s is None else watchdog_s
+        longest_s = acts_s if watchdog_s is None else timeout_s + acts_s
+        takes_s = self.budget(d).total_s
+        one_s = (
+            min(longest_s, max(timeout_s, acts_s - d.period_s)) - takes_s
+        )  # the drive has acted for a period by then
         ticks = REACTS_TICKS + self.writes_first(d)
-        late = min(int(spare_s / d.period_s), ticks)
+        late = min(int((longest_s - takes_s) / d.period_s), ticks)
         which = "each" if late == ticks else f"{late} of {ticks} in a row"
         by_a_period = f", or {which} by a period" if late else ""
-        return f"late answers: one may be late by {1e3 * spare_s:.0f} ms{by_a_period}; more ends the run"
+        return f"late answers: one may be late by {1e3 * one_s:.0f} ms{by_a_period}; more ends the run"
 
     def _line_of_port(self, d: DeviceSetup, port: str, *, emulated: bool = False) -> Line:
         transport = self.opening().transport(d, port, emulated=emulated)

@@ -323,7 +323,7 @@ def test_a_watchdog_that_is_not_there_is_not_counted_and_said_to_be_missing() ->
     assert found.problems == ()
     (line,) = (line for line in found.lines if line.startswith("stopping"))
     assert "if the host dies nothing bounds it: the device has no watchdog" in line
-    assert "late answers: one may be late by 93 ms, or each by a period; more ends the run" in found.lines
+    assert "late answers: one may be late by 83 ms, or each by a period; more ends the run" in found.lines
 
 
 def test_a_watchdog_that_is_set_on_the_device_counts_for_the_room_to_stop() -> None:
