@@ -494,7 +494,8 @@ def _places(
     if not has_names and all(one.column is None for one in choices.values()) and len(first) == len(choices):
         return {quantity: k for k, quantity in enumerate(choices)}
     if len(first) < len(choices):
-        cause = f"has {len(first)} columns, and {', '.join(choices)} are {len(choices)}"
+        named = f" ({', '.join(map(shown, first))})" if has_names else ""
+        cause = f"has {len(first)} columns{named}, and {', '.join(choices)} are {len(choices)}"
         cure = "add what is missing: a drive that stayed as it was is a column, too"
         raise RecordingError(path, cause, cure, line)
     places: dict[str, int] = {}
