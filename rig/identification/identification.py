@@ -31,6 +31,7 @@ from rig.identification.plausibility import hole_rows, is_cut_off, judge_motor, 
 from rig.identification.preprocessing import from_recording
 from rig.identification.records import left_out, require_known
 from rig.identification.sampled_data_verdict import is_early, judge_with_laws, late_s, slipped_rms_rad
+from rig.identification.sampled_velocity import SAID, with_bends
 from rig.identification.side_by_side import on_all_cores
 from rig.identification.smoothing import smoothings
 from rig.identification.stroke_delay import strokes_delay
@@ -317,9 +318,14 @@ def _takes_change(data: Measurements, estimate: Estimate | None) -> bool:
         return False
     try:
         limit = limit_of(data.tests, estimate)
-        smoothed = smoothings(data.tests, estimate) if math.isinf(limit.drive_V) else []
+        bent, rad = with_bends(data.tests, estimate)
+        smoothed = smoothings(data.tests, estimate, rad) if math.isinf(limit.drive_V) else []
     except IdentifyError:
         return False  # too short for pieces
+    is_bent = math.isfinite(rad) and not any(smoothed)
+    if is_bent:
+        mended = dict(zip(map(id, data.tests), bent, strict=True))
+        data.take(lambda test: mended[id(test)], SAID)
     if math.isfinite(limit.drive_V):
         data.take(partial(clipped, limit=limit), limit.in_words())
         data.unsure += [by_speed_limit] if limit.from_rad_s > 0.0 else []
@@ -336,7 +342,7 @@ def _takes_change(data: Measurements, estimate: Estimate | None) -> bool:
     worst = max(told, key=lambda one: max(OF_FILTER, one.left) * one.late_s, default=None)
     if worst is not None and worst.late_s > 0.0:
         data.unsure.append(partial(by_filter, lag_s=worst.late_s, left=worst.left, moves=worst.moves))
-    return math.isfinite(limit.drive_V) or bool(undone)
+    return math.isfinite(limit.drive_V) or bool(undone) or is_bent
 
 
 def _by_steps(tests: Sequence[TimeSeries], found: Estimate | None) -> list[Callable[[Answer], Answer]]:

@@ -32,7 +32,7 @@ from rig.identification.departures.fit import start as begin
 from rig.identification.departures.laws import FREE
 from rig.identification.departures.pieces import Cut, parabolas
 from rig.identification.estimate import PARAMETERS, Estimate, intervals
-from rig.identification.noise import WHITE
+from rig.identification.noise import WHITE, noise_of_sensor
 from rig.identification.plausibility import one_way
 from rig.identification.side_by_side import side_by_side
 from rig.identification.thinning import thinned
@@ -75,15 +75,22 @@ def fit_in_pieces(tests: Sequence[TimeSeries], *, free_delay: bool) -> tuple[Fit
         cut = whole.every(length_s)
         if found and cut.begins.size == found[-1].problem.cut.begins.size:
             continue
-        problem = Problem(cut, free, limits_of(free, cut, delay_s), sigma)
+        problem = Problem(cut, free, limits_of(free, cut, delay_s), sigma, noise=noise_of_sensor(tests, sigma))
         found.append(best_of_starts(problem, found, longest_s, 0.25 * delay_s[1] if free_delay else 0.0))
     blocks = Blocks.of(whole, float(np.median([fit.motor.tau_s for fit in found])))
-    best = min(found, key=lambda fit: blocks.error(fit.motor, fit.problem))
+    best = min(found, key=lambda fit: error_of(fit.motor, found[-1].problem, blocks))
     if (error := blocks.error(best.motor, best.problem)) > POOR:
         loaded = _with_force(best, whole, largest_V, longest_s)
         if blocks.error(loaded.motor, loaded.problem) < LOADED * error:
             return loaded, blocks
     return best, blocks
+
+
+def error_of(motor: RealMotor, problem: Problem, blocks: Blocks) -> float:
+    """What a motor is off where it predicts blocks; where noise adds up in them, and hides that, in these pieces."""
+    if problem.noise.white:
+        return blocks.error(motor, problem)
+    return math.sqrt(solve(begin(replace(problem, free=()), motor)).cost)
 
 
 def _with_force(best: Fit, whole: Cut, largest_V: float, longest_s: float) -> Fit:
@@ -134,11 +141,17 @@ def free_between(tests: Sequence[TimeSeries]) -> Mapping[str, float]:
     return {"free_between": 0.8, "full_drive_V": max(float(np.abs(test.steps.u_V).max()) for test in tests)}
 
 
-def plain_in_pieces(tests: Sequence[TimeSeries], plain: Estimate, bridge: Mapping[str, float] = NOTHING) -> Fit:
+def plain_in_pieces(
+    tests: Sequence[TimeSeries],
+    plain: Estimate,
+    bridge: Mapping[str, float] = NOTHING,
+    walks: Sequence[TimeSeries] = (),
+) -> Fit:
     """The plain motor, begun at ``plain``, on pieces of half a second.
 
     bridge   sizes of laws of a bridge that it stands behind, to begin with: where it does not brake, the plain tau is
              next to nothing at times
+    walks    these tests as they were logged, where the fit heeds that noise adds up in them
 
     Raises IdentifyError if a test is too short.
     """
@@ -152,7 +165,8 @@ def plain_in_pieces(tests: Sequence[TimeSeries], plain: Estimate, bridge: Mappin
     sizes = [name for name in bridge if not NUMBERS[name].is_shape]
     limits = limits_of(free, cut, delay_s)
     limits |= {name: (0.0, most_V) if name == DEAD_BAND else FREE for name in sizes}
-    problem = Problem(cut, (*free, *sizes), limits, 1e-3 * cut.frames[0].half_travel_rad)
+    sigma = 1e-3 * cut.frames[0].half_travel_rad
+    problem = Problem(cut, (*free, *sizes), limits, sigma, noise=noise_of_sensor(walks, sigma))
     if bridge:
         motor = motor._replace(tau_s=max(plain.tau_s, 4.0 * thin[0].period_s), **bridge)
     return solve(begin(problem, motor), PIECE_ITERATIONS, ROUGHLY)

@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 from rig.core.arrays import Array
 from rig.model.compiled import coloured_noise
 from rig.run_folder.recording.recording import Recording
+from rig.run_folder.recording.series import TimeSeries
 from rig.run_folder.recording.stage import StageKind
 
 NEEDED = 8.0  # twice the gain of log likelihood from which on noise counts as coloured
 GRID = 7  # points of each axis, memory and size, in each round of the search
 ROUNDS = 4
 LEAST_PAUSE_ROWS = 6
+WALKS_FOR = 100.0  # times the record: the memory of a walk has no end
 COASTS = 3.0  # times the median variance of all pauses
 
 
@@ -57,6 +59,15 @@ class Noise:
 
 
 WHITE = Noise()
+
+
+def noise_of_sensor(tests: Sequence[TimeSeries], white_rad: float) -> Noise:
+    """White, but of sampled velocities: their sum walks at random. In units of this white noise, rad."""
+    if not tests or white_rad == 0.0 or not all(test.walk_rad() > 0.0 for test in tests):
+        return WHITE
+    memory_s = WALKS_FOR * max(float(test.t_s[-1] - test.t_s[0]) for test in tests)
+    pace = sum(test.walk_rad() ** 2 / test.period_s for test in tests) / len(tests)  # of its variance, rad^2/s
+    return Noise(memory_s, 0.5 * pace * memory_s / white_rad**2)
 
 
 def noise_of(residual: Array, t_s: Array, lengths: Sequence[int], period_s: float | None = None) -> Noise:

@@ -20,7 +20,7 @@ from rig.identification.departures.fit import Enough
 from rig.identification.driven import together
 from rig.identification.estimate import Estimate, intervals
 from rig.identification.estimator import Estimator
-from rig.identification.in_pieces import MOST_ROWS, fit_in_pieces, of_pieces
+from rig.identification.in_pieces import MOST_ROWS, error_of, fit_in_pieces, of_pieces
 from rig.identification.measurements import Measurements
 from rig.identification.output_error import (
     ENOUGH,
@@ -246,10 +246,11 @@ def nearest(tests: Sequence[TimeSeries], starts: Sequence[Start] | None, periods
         white = again
     found = white.estimate
     if found.converged and not found.rms_rad > PIECES_FROM * noise:
-        return found
+        return found  # of noise that adds up there is more
     delay_s = found.delay_s if free else 0.0
     of_whole = RealMotor(found.tau_s, found.K_rad_s_V, max(found.fc_V, 0.0), found.asym_V, delay_s)
-    if found.converged and blocks.error(motor, pieces.problem) > BETTER * blocks.error(of_whole, pieces.problem):
+    pieces_error, whole_error = (error_of(one, pieces.problem, blocks) for one in (motor, of_whole))
+    if found.converged and pieces_error > BETTER * whole_error:
         return found
     return of_pieces(pieces, found, tests)
 

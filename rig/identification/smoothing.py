@@ -150,18 +150,21 @@ class Smoothing(NamedTuple):
         return f"the {self.column} is low-passed by {by}, as {SMOOTHED[self.column]} is: undone before the fit"
 
 
-def smoothings(tests: Sequence[TimeSeries], plain: Estimate) -> list[Smoothing | None]:
-    """How a column of each test was smoothed: of all alike, else of each by itself, where that is told."""
-    of_all = smoothing(tests, plain)
+def smoothings(tests: Sequence[TimeSeries], plain: Estimate, otherwise_rad: float = math.inf) -> list[Smoothing | None]:
+    """How a column of each test was smoothed: of all alike, else of each by itself, where that is told.
+
+    otherwise_rad   what the plain motor leaves of pieces where something else is mended instead
+    """
+    of_all = smoothing(tests, plain, otherwise_rad)
     if len(tests) > 1 and (of_all is None or of_all.left == 1.0):
-        each = [smoothing([test], plain) for test in tests]
+        each = [smoothing([test], plain, otherwise_rad) for test in tests]
         told = [one if one is not None and one.left != 1.0 else None for one in each]
         if any(told):
             return told
     return [of_all] * len(tests)
 
 
-def smoothing(tests: Sequence[TimeSeries], plain: Estimate) -> Smoothing | None:
+def smoothing(tests: Sequence[TimeSeries], plain: Estimate, otherwise_rad: float = math.inf) -> Smoothing | None:
     """How a column of the tests was smoothed; None where that does not show.
 
     Where its drive ends, a motor behind a bridge that does not brake goes on as a smoothed column does. So it is looked
@@ -178,7 +181,7 @@ def smoothing(tests: Sequence[TimeSeries], plain: Estimate) -> Smoothing | None:
             other_rad, other = _behind(bridge, tests, plain, noise_rad)
             is_told = other is None or other.left != 1.0
             rad, found = (other_rad, other) if is_told and other_rad < CUTS * rad else (rad, found)
-    return found
+    return found if rad < otherwise_rad else None
 
 
 def _bridges(tests: Sequence[TimeSeries], plain: Estimate) -> Iterator[Mapping[str, float]]:
