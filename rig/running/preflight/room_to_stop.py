@@ -51,7 +51,8 @@ def device_watchdog_s(d: DeviceSetup) -> float | None:
 
 def known_reaction_s(d: DeviceSetup) -> float:
     """``reaction_s`` plus one lost reply plus the device's watchdog, where it has one, s."""
-    return reaction_s(d) + backend_of(d).lost_reply_s(d) + (device_watchdog_s(d) or 0.0)
+    own = backend_of(d)
+    return reaction_s(d) + own.lost_reply_s(d) + (own.watchdog(d).time_s or 0.0)
 
 
 def limits_are_ordered(d: DeviceSetup) -> bool:
