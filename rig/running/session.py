@@ -463,13 +463,13 @@ def _write_result(session: Session, outcome: Outcome) -> None:
 
 def _stages(experiment: Experiment) -> list[str]:
     """Every stage that a run can record."""
-    relays = [str(Stage.relay(number)) for number in range(1, 5)]
+    relays = [str(Stage.test(StageKind.RELAY, number)) for number in range(1, 5)]
     if experiment.relay.until is not None:
-        kinds = (Stage.relay, Stage.strokes)
-        relays = [str(kind(number)) for number in range(1, MOST_TESTS + 2) for kind in kinds]
+        kinds = (StageKind.RELAY, StageKind.STROKES)
+        relays = [str(Stage.test(kind, number)) for number in range(1, MOST_TESTS + 2) for kind in kinds]
     if experiment.relay.hysteretic is not None:
         runs = range(1, len(experiment.relay.hysteretic) + 1)
-        relays += [str(StageKind.HOMING), *(str(Stage.hysteretic(number)) for number in runs)]
+        relays += [str(StageKind.HOMING), *(str(Stage.test(StageKind.HYSTERETIC, number)) for number in runs)]
     relays.append(str(StageKind.SURVEY))
     tracks = [] if experiment.tracking is None else [str(Stage.track(method)) for method in experiment.tracking.methods]
     return ["rest", "jog", "breakaway", "search", *relays, *tracks, str(StageKind.LAW), STOPPING]
@@ -667,7 +667,8 @@ def _notes(found: Findings) -> tuple[str, ...]:
 
 def _hysteretic(own: Identification, experiment: Experiment) -> tuple[results.HystereticResult, ...] | None:
     """The hysteretic runs, with the hysteresis that the config asked for; None if there are none."""
-    eps_rad = {str(Stage.hysteretic(k)): run.eps_rad for k, run in enumerate(experiment.relay.hysteretic or (), 1)}
+    asked = enumerate(experiment.relay.hysteretic or (), 1)
+    eps_rad = {str(Stage.test(StageKind.HYSTERETIC, number)): run.eps_rad for number, run in asked}
     runs = tuple(run.model_copy(update={"eps_rad": eps_rad.get(run.stage)}) for run in own.hysteretic)
     return runs or None
 

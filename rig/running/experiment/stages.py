@@ -426,7 +426,7 @@ def _test_relay(
     number, pair_V = test
     cycle_s = expected_period_s if expected_period_s is not None else 2.0
     timeout_s = RELAY_TIMEOUT_PERIODS * e.relay.cycles * cycle_s
-    stage = str(Stage.relay(number))
+    stage = str(Stage.test(StageKind.RELAY, number))
     session.note("gains", stage=stage, h1_V=pair_V[0], h2_V=pair_V[1], cycles=e.relay.cycles)
     watch = _watch_cycles(session, detector, stage)
     law, command = relay_law(session, (relay, detector), pair_V, e.relay.cycles, timeout_s)
@@ -485,7 +485,7 @@ def test_hysteretic(session: Session) -> None:
         if abs(wanted.d_V) <= level_V:
             raise Fault("DRIVE_TOO_SMALL", f"run {number}: d_V {wanted.d_V:+.3f} V; it broke away at {level_V:.3f} V")
     for number, wanted in enumerate(e.relay.hysteretic, start=1):
-        stage = str(Stage.hysteretic(number))
+        stage = str(Stage.test(StageKind.HYSTERETIC, number))
         bring_home(session)
         session.note("hysteretic", stage=stage, d_V=wanted.d_V, eps_rad=wanted.eps_rad)
         relay = HystereticRelay(wanted.d_V, wanted.eps_rad)
