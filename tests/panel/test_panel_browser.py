@@ -19,7 +19,7 @@ from typing import Any
 
 import pytest
 from compared_runs import Told, write_run, write_samples
-from processes import PATIENCE_S
+from processes import PATIENCE_S, plain_runs
 
 from rig.config import load
 from rig.config.yaml12 import parse
@@ -78,6 +78,7 @@ def served(config: Path, runs: Path, *more: object) -> Iterator[tuple[subprocess
     panel = subprocess.Popen(
         [sys.executable, "-m", "rig", "panel", str(config), "--out", str(runs), "--port", "0", *map(str, more)],
         stdout=subprocess.PIPE, text=True, start_new_session=True,
+        env=plain_runs(config.parent, "rig jog", "rig.panel.calibrating"),  # the run's own report is opened
     )  # fmt: skip
     assert panel.stdout is not None
     try:
