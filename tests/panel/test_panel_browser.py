@@ -9,7 +9,6 @@ import json
 import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -86,7 +85,6 @@ def served(config: Path, runs: Path, *more: object) -> Iterator[tuple[subprocess
         assert found is not None
         yield panel, found[0]
     finally:
-        panel.send_signal(signal.SIGCONT)
         panel.kill()
         panel.wait(PATIENCE_S)
         panel.stdout.close()
@@ -176,7 +174,7 @@ def test_another_operator_takes_the_bench_and_the_first_one_watches(seen: dict[s
     assert taken["stop"]
 
 
-@pytest.mark.parametrize("loss", ["cut", "closed", "frozen", "killed"])
+@pytest.mark.parametrize("loss", ["cut", "closed", "killed"])
 def test_a_jog_ends_with_its_lease_however_the_page_loses_the_bench(seen: dict[str, Any], loss: str) -> None:
     lost = seen[loss]
     # rows until the loss was seen, the lease, and what a busy machine adds; a lease that never ended would be endless

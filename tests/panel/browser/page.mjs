@@ -293,17 +293,6 @@ const steps = {
     await until("connected", () => document.body.dataset.link === "alive");
   },
 
-  async jogs_until_the_panel_freezes() {
-    seen.frozen = await jogUntil(async () => {
-      process.kill(panel_pid, "SIGSTOP");
-      await says("silence", "Not connected");
-    });
-    Object.assign(seen.frozen, { words: await text("silence") });
-    await page.mouse.up();
-    process.kill(panel_pid, "SIGCONT");
-    await until("connected again", () => document.getElementById("silence").hidden);
-  },
-
   async jogs_until_the_panel_is_killed() {
     seen.killed = await jogUntil(async () => {
       process.kill(panel_pid, "SIGKILL");
