@@ -46,8 +46,12 @@ session.write_report = lambda folder, *_: (folder / "report.html").write_text("n
 PLAIN_RIG = f"{_PLAIN}\nfrom rig.cli import main\nmain()\n"
 
 
-def plain_runs(folder: Path) -> dict[str, str]:
-    """The environment of a process whose own `rig run` end as those of PLAIN_RIG."""
-    begin = f"import sys\nif sys.orig_argv[2:5] == ['-m', 'rig', 'run']:\n    exec({_PLAIN!r})\n"
+def plain_runs(folder: Path, *commands: str) -> dict[str, str]:
+    """The environment of a process whose own `rig run`, or whatever ``commands`` are, end as those of PLAIN_RIG.
+
+    commands  as they are typed after ``python -P -m``
+    """
+    typed = [command.split() for command in commands or ("rig run",)]
+    begin = f"import sys\nif any(sys.orig_argv[3:][:len(one)] == one for one in {typed}):\n    exec({_PLAIN!r})\n"
     (folder / "sitecustomize.py").write_text(begin, encoding="utf-8")
     return os.environ | {"PYTHONPATH": str(folder)}

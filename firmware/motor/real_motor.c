@@ -43,22 +43,8 @@ static double most(double a, double b)
 /* Whether a linear motion is taken in one exact step. An AVR has no room for that. */
 static const bool EXACT = sizeof(double) >= 8u;
 
-/* Between two events the motion of a motor that has no other numbers is linear in its velocity, and in time. */
-static const int LINEAR[] = {
-    AT_tau_s, AT_K_rad_s_V, AT_fc_V, AT_bias_V, AT_delay_s, AT_dead_band_V, AT_gain_by_sign, AT_sag_per_V,
-    AT_viscous_by_direction_V_s_rad, AT_static_V, AT_backlash_rad, AT_linearity_sin1_rad, AT_linearity_cos1_rad,
-    AT_linearity_sin2_rad, AT_linearity_cos2_rad, AT_drift, AT_load_friction, AT_load_outside, AT_viscous_share,
-    AT_source_per_V2, AT_runs_free, AT_no_brake, AT_free_between, AT_full_drive_V,
-};
-
-static bool is_linear_in(int number)
-{
-    bool found = false;
-    for (unsigned i = 0; i < sizeof LINEAR / sizeof LINEAR[0]; i++) {
-        found = found || LINEAR[i] == number;
-    }
-    return found;
-}
+#define REAL_MOTOR_CURVES(name, of, curves, least, below) (curves) != 0,
+static const bool CURVES[] = {REAL_MOTOR_NUMBERS(REAL_MOTOR_CURVES)};
 
 /* The numbers of a motor, and what else is the same in all of its steps: whether it has a force or a friction over the
  * travel, cogging, a Stribeck effect, a torque that differs from its drive, one whose sign matters, and a linear motion;
@@ -81,7 +67,7 @@ static motor motor_of(const real_motor *numbers)
                   m.free_between != 0.0;
     m.sided = m.load_friction != 0.0 || m.no_brake != 0.0;
     m.linear = EXACT;
-#define REAL_MOTOR_LINEAR(name, of, least, below) m.linear = m.linear && (m.name == 0.0 || is_linear_in(AT_##name));
+#define REAL_MOTOR_LINEAR(name, of, curves, least, below) m.linear = m.linear && (!CURVES[AT_##name] || m.name == 0.0);
     REAL_MOTOR_NUMBERS(REAL_MOTOR_LINEAR)
     m.mean_cosine = m.turns ? sin(m.half_travel_rad) / m.half_travel_rad : 0.0;
     return m;

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -240,9 +239,9 @@ def show_tuned(found: TunedResult) -> None:
     tried = any(one.inside is not None for one in found.prediction.values())
     rows = []
     for one in found.prediction.values():
-        low, high = map(known, one.interval95)
-        cells = [f"{one.meaning}, {one.unit}", _or_never(known(one.median)), f"{_or_never(low)} to {_or_never(high)}"]
-        rows.append(cells + ([_or_never(known(one.bench)), "inside" if one.inside else "OUTSIDE"] if tried else []))
+        *predicted, bench = one.words()
+        cells = [f"{one.meaning}, {one.unit}", *predicted]
+        rows.append(cells + ([bench, "inside" if one.inside else "OUTSIDE"] if tried else []))
     heads = ["measure", "predicted", "95 % interval", *(["bench", ""] if tried else [])]
     title = f"a step of {found.step:.3g} {found.curves['step'].unit}, and tracking, on {found.draws} motors"
     click.echo("\n".join(["", title, *plain_table(heads, rows)]))
@@ -273,10 +272,6 @@ def show_servo_loop(found: ServoLoop) -> None:
     click.echo(
         "rig writes none of them. LeRobot writes P 16, I 0, D 32 to a Feetech at each connect: it would undo yours"
     )
-
-
-def _or_never(value: float) -> str:
-    return f"{value:.3g}" if math.isfinite(value) else "never"
 
 
 def show_finding(finding: Finding) -> None:

@@ -73,6 +73,7 @@ class Tracking(BareLaw):
         self.largest_u_V = 0.0
         self._start_s = math.nan
         self._last_u_V = 0.0
+        self.taken: list[tuple[float, float, float]] = []  # of each sample: time, s; reading and reference, rad
 
     def step(self, sample: Sample) -> float:
         """Drive for this sample, V; ``yd_rad`` is the reference at the sample's own time."""
@@ -82,6 +83,7 @@ class Tracking(BareLaw):
         elapsed = sample.t_s - self._start_s
         self.finished = elapsed >= self.duration_s
         self.yd_rad = self.trajectory.at(elapsed).y_rad
+        self.taken.append((sample.t_s, sample.y_rad, self.yd_rad))
         state = self.observer.step(sample)
         # the drive acts after the delay: take the reference at that time, too
         ahead_s = self.observer.delay_s

@@ -15,6 +15,15 @@ _ENDED: Final = -1
 _LOOKS: Final = os.WSTOPPED | os.WEXITED | os.WNOHANG | os.WNOWAIT if hasattr(os, "waitid") else 0
 
 
+def end_within(process: subprocess.Popen[bytes] | subprocess.Popen[str], longest_s: float) -> None:
+    """Wait for the end of a child; one that takes longer is killed."""
+    try:
+        process.wait(longest_s)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
 class Halts:
     """Looks at a child, the keeper of a device or of a law."""
 

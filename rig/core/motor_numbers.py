@@ -24,6 +24,7 @@ class Number(NamedTuple):
     least, above, below   bounds that the model takes: at least, above and below
     one_sided  whether no bench has it below 0, though the model takes it
     steers     whether the motor is integrated more finely where it is not 0
+    curves     whether the motion between two events is no longer linear in velocity and time where it is not 0
     at_rest    whether it is one of those whose sum holds a shaft at rest (docs/theory.md 8.4)
     """
 
@@ -37,6 +38,7 @@ class Number(NamedTuple):
     below: float = math.inf
     one_sided: bool = False
     steers: bool = False
+    curves: bool = False
     at_rest: bool = False
 
     @property
@@ -73,9 +75,9 @@ class RealMotor(NamedTuple):
         float, Number("1", "g: the stage gives u (1 + g sgn u)", ("gain_by_sign",), "g", above=-1.0, below=1.0)
     ] = 0.0
     sag_per_V: Annotated[float, Number("1/V", "s: the stage gives u (1 - s |u|)", ("sag",), "s", one_sided=True)] = 0.0
-    lag_s: Annotated[float, Number("s", "time constant of the stage and the current", ("lag",), "tau_e", least=0.0)] = (
-        0.0
-    )
+    lag_s: Annotated[
+        float, Number("s", "time constant of the stage and the current", ("lag",), "tau_e", least=0.0, curves=True)
+    ] = 0.0
     viscous_by_direction_V_s_rad: Annotated[
         float,
         Number(
@@ -93,32 +95,42 @@ class RealMotor(NamedTuple):
         float,
         Number(
             "V", "e: friction e exp(-|v|/v_s) beside Coulomb friction", ("stribeck",), "e", one_sided=True, steers=True,
-            at_rest=True,
+            curves=True, at_rest=True,
         ),
     ] = 0.0  # fmt: skip
     stribeck_rad_s: Annotated[
-        float, Number("rad/s", "v_s: speed of the Stribeck effect", ("stribeck",), "v_s", is_shape=True, least=0.0)
+        float,
+        Number(
+            "rad/s", "v_s: speed of the Stribeck effect", ("stribeck",), "v_s", is_shape=True, curves=True, least=0.0
+        ),
     ] = 0.0
     drag_V_s2_rad2: Annotated[
-        float, Number("V s2/rad2", "c: drag c v |v|", ("drag",), "c", one_sided=True, steers=True)
+        float, Number("V s2/rad2", "c: drag c v |v|", ("drag",), "c", one_sided=True, steers=True, curves=True)
     ] = 0.0
     bristle_V_rad: Annotated[
-        float, Number("V/rad", "stiffness of the bristles at rest; 0: rigid", ("bristle",), "sigma_0", least=0.0)
+        float,
+        Number("V/rad", "stiffness of the bristles at rest; 0: rigid", ("bristle",), "sigma_0", least=0.0, curves=True),
     ] = 0.0
     force_sin_V: Annotated[
-        float, Number("V", f"force over position: {_SINE}", ("force_over_position",), "A", steers=True)
+        float, Number("V", f"force over position: {_SINE}", ("force_over_position",), "A", steers=True, curves=True)
     ] = 0.0
     force_cos_V: Annotated[
-        float, Number("V", f"force over position: {_COSINE}", ("force_over_position",), "B", steers=True)
+        float, Number("V", f"force over position: {_COSINE}", ("force_over_position",), "B", steers=True, curves=True)
     ] = 0.0
     friction_sin_V: Annotated[
-        float, Number("V", f"friction over position: {_SINE}", ("friction_over_position",), "A", steers=True)
+        float,
+        Number("V", f"friction over position: {_SINE}", ("friction_over_position",), "A", steers=True, curves=True),
     ] = 0.0
     friction_cos_V: Annotated[
-        float, Number("V", f"friction over position: {_COSINE}", ("friction_over_position",), "B", steers=True)
+        float,
+        Number("V", f"friction over position: {_COSINE}", ("friction_over_position",), "B", steers=True, curves=True),
     ] = 0.0
-    cogging_sin_V: Annotated[float, Number("V", "cogging: times sin(n y)", ("cogging",), "A", steers=True)] = 0.0
-    cogging_cos_V: Annotated[float, Number("V", "cogging: times cos(n y)", ("cogging",), "B", steers=True)] = 0.0
+    cogging_sin_V: Annotated[
+        float, Number("V", "cogging: times sin(n y)", ("cogging",), "A", steers=True, curves=True)
+    ] = 0.0
+    cogging_cos_V: Annotated[
+        float, Number("V", "cogging: times cos(n y)", ("cogging",), "B", steers=True, curves=True)
+    ] = 0.0
     cogging_per_rad: Annotated[
         float,
         Number(
@@ -127,6 +139,7 @@ class RealMotor(NamedTuple):
             ("cogging",),
             "n",
             is_shape=True,
+            curves=True,
             one_sided=True,
         ),
     ] = 0.0

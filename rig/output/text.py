@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from rig.core.estimators import MAIN
-from rig.run_folder.results import IdentificationResult, known
+from rig.run_folder.results import IdentificationResult, known, whole
 from rig.run_folder.results.budget_lines import budget_lines, that_matter
 from rig.run_folder.results.comparison import ComparisonResult
 
@@ -55,8 +55,8 @@ def motor_law_rows(result: IdentificationResult) -> list[list[str]]:
     rows = []
     for law in (result.answer.law if result.answer is not None else None) or ():
         text = "-" if law.value is None else f"{law.value:.3g}"
-        if law.ci95 is not None and law.ci95[0] is not None and law.ci95[1] is not None:
-            text += f" ±{0.5 * (law.ci95[1] - law.ci95[0]):.2g}"
+        if (interval := whole(law.ci95)) is not None:
+            text += f" ±{0.5 * (interval[1] - interval[0]):.2g}"
         alike = next((group[1:] for group in result.not_told_apart or () if group and group[0] == law.name), ())
         or_else = ", ".join(name.replace("_", " ") for name in alike)
         rows.append([law.name.replace("_", " "), text, "" if law.unit == "1" else law.unit, or_else])

@@ -259,9 +259,9 @@ class Watch:
             snapshot = self._seen(stop.view)
         if snapshot is None:
             return None  # nobody can know
-        if snapshot.drive_is_off and snapshot.state != "absent":
+        if snapshot.numbers["drive_is_off"] and snapshot.state != "absent":
             return True
-        return False if snapshot.is_over or snapshot.state != "runs" else None
+        return False if snapshot.numbers["is_over"] or snapshot.state != "runs" else None
 
     def _settled(self, run: str, asked_s: float, *, at_zero: bool) -> None:
         """A stopped run is over, or at 0 V. The pages have one word for all runs: 0 only if each of them is at 0."""

@@ -16,11 +16,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from shlex import quote
 
-import numpy as np
-
 from rig.backends.clock import MonotonicClock, PacedClock
 from rig.backends.driver import Clock
-from rig.backends.emulated.shaft import ShaftPath
 from rig.backends.registry import Bench, connect
 from rig.config import Experiment, dump
 from rig.control.breakaway import BreakawayCheck
@@ -31,7 +28,6 @@ from rig.control.loop.real_time import RealTimeSettings
 from rig.control.loop.runner import Loop
 from rig.control.loop.stop_request import Gone, StopRequest, stop_on_signals
 from rig.control.rising_gains import RisingGains
-from rig.control.tracking import tracking_error
 from rig.core.estimators import ESTIMATORS
 from rig.core.faults import Fault, since_the_last_run
 from rig.core.package import VERSION as RIG_VERSION
@@ -39,7 +35,7 @@ from rig.core.signals import BenchDelay
 from rig.identification import Identification, IdentifyError, identify
 from rig.identification.departures import DEPARTURES
 from rig.model.bench import BenchParameters
-from rig.model.real_motor import FramedMotor, plain
+from rig.model.real_motor import plain
 from rig.model.supply import SupplyReading
 from rig.output.report import write_report
 from rig.run_folder import results
@@ -48,7 +44,7 @@ from rig.run_folder.recording.errors import CannotWriteError, RecordingError
 from rig.run_folder.recording.folder import CONFIG, META, RESULT, create_run, json_text, write_whole
 from rig.run_folder.recording.reader import read_run
 from rig.run_folder.recording.recorder import Recorder
-from rig.run_folder.recording.recording import Floats, Recording
+from rig.run_folder.recording.recording import Recording
 from rig.run_folder.recording.sink import JsonScalar, RowSink
 from rig.run_folder.recording.stage import Stage, StageKind
 from rig.run_folder.results.answer_words import NOTHING_TO_IDENTIFY
@@ -61,8 +57,6 @@ from rig.running.preflight.room_to_stop import guard_settings_of
 FREE_BRIDGES = ("runs_free", "no_brake", "free_between")  # laws
 COASTING = 2.0  # estimated no-load speed over that of the data sheet from which on the bridge is doubted
 MOST_TESTS = 40  # designed tests of one run
-FADE_S = 1.5  # of the tracking reference; errors count after it
-SHAFT_GAP_S = 0.02  # by which the path of an emulated shaft may be shorter than the rows
 _LONG_GAP_S = 0.1  # between two readings of a device that latches no e-stop
 
 
@@ -118,10 +112,8 @@ class Findings:
     identification  of this run's recording
     models          that are driven: of this run, or as they are kept with ``models_from``
     models_from     another run whose models are driven
-    tracking        by method; an empty one has come to its end, but nobody has measured its error yet
-    real_motors     by method, the models with laws that tracked
+    tracking        by method
     stopped         why the tests of `relay.until` ended
-    shaft           where the emulated shaft really was, in the bench's own time and radians; None if nobody knows
     notes           what else there is to know, in words
     """
 
@@ -136,8 +128,6 @@ class Findings:
     models_from: Path | None = None
     jog: results.JogResult | None = None
     tracking: dict[str, results.TrackingResult] = field(default_factory=dict)
-    real_motors: dict[str, FramedMotor] = field(default_factory=dict)
-    shaft: ShaftPath | None = None
     stopped: results.StoppedResult | None = None
     notes: list[str] = field(default_factory=list)
 
@@ -259,7 +249,6 @@ def record(
                 failures.append(f"the bench was not closed well: {_defect(error)}")
             session.found.notes += filter(None, [getattr(session.bench.driver, "end_words", "")])  # once it is closed
             outcome = Outcome(session.folder, results.RunResult(), fault, failures, session.paced)
-            _measure_tracking(session, outcome)
             _write_result(session, outcome)
             late = stop.look()
             if late is not None and fault is None:
@@ -463,7 +452,8 @@ def _write_result(session: Session, outcome: Outcome) -> None:
     except Exception as error:  # noqa: BLE001 - a result that says why is better than none
         outcome.failures.append(f"the result is incomplete: {_defect(error)}")
         outcome.result = least_result(session, [*session.found.notes, *outcome.failures], outcome.fault)
-    told: dict[str, Part] = {RESULT: outcome.result} | ({META: session.meta} if session.paced else {})
+    # the result last: a folder that has one is whole
+    told: dict[str, Part] = ({META: session.meta} if session.paced else {}) | {RESULT: outcome.result}
     try:
         for name, what in told.items():
             session.write(name, what)
@@ -471,55 +461,15 @@ def _write_result(session: Session, outcome: Outcome) -> None:
         outcome.fail(error)
 
 
-def _measure_tracking(session: Session, outcome: Outcome) -> None:
-    """Measure the tracking error of each tracking run that came to its end."""
-    tracking = session.found.tracking
-    finished = [method for method, entry in tracking.items() if entry.not_run is None]
-    for method in finished:
-        try:
-            recording = session.read()
-            rows = recording.stage_rows(str(Stage.track(method)))
-            t_s, yd_rad = recording.t_s[rows], recording.yd_rad[rows]
-            real = session.found.real_motors.get(method)
-            measured_rad = recording.y_rad[rows] if real is None else real.positions(recording.y_rad[rows])
-            rms_rad, max_rad = tracking_error(t_s, measured_rad, yd_rad, after_s=FADE_S)
-            y_rad = _true_position(session, t_s)
-            true_rms_rad, true_max_rad = (None, None) if y_rad is None else tracking_error(t_s, y_rad, yd_rad, FADE_S)
-        except Exception as error:  # noqa: BLE001 - whatever it is, the run has its result
-            words = error.cause if isinstance(error, RecordingError) else _defect(error)
-            tracking[method] = results.TrackingResult(not_run=f"it ran, but its recording cannot be read: {words}")
-            outcome.failures.append(f"no tracking error of {method}: {words}")
-        else:
-            errors: dict[str, float | None] = {"rms_rad": rms_rad, "max_rad": max_rad}
-            errors |= {"true_rms_rad": true_rms_rad, "true_max_rad": true_max_rad}
-            tracking[method] = tracking[method].model_copy(update=errors)
-
-
-def _true_position(session: Session, t_s: Floats) -> Floats | None:
-    """Where the emulated shaft was at these times, by the config's calibration (docs/theory.md 11.4); None: unknown.
-
-    Also None where the device told less than all of that time.
-    """
-    path, truth = session.found.shaft, session.bench.truth
-    if path is None or truth is None or len(path.t_s) == 0:
-        return None
-    at_s = np.asarray(path.t_s, dtype=float) + session.loop.since_start_s(0.0)
-    if t_s[0] < at_s[0] - SHAFT_GAP_S or t_s[-1] > at_s[-1] + SHAFT_GAP_S:
-        return None
-    shaft_rad = np.interp(t_s, at_s, np.asarray(path.y_rad, dtype=float))
-    counts = truth.centre_counts + (shaft_rad + truth.offset_rad) / truth.rad_per_count
-    return np.array([session.experiment.sensor.curve.to_rad(one) for one in counts.tolist()])
-
-
 def _stages(experiment: Experiment) -> list[str]:
     """Every stage that a run can record."""
-    relays = [str(Stage.relay(number)) for number in range(1, 5)]
+    relays = [str(Stage.test(StageKind.RELAY, number)) for number in range(1, 5)]
     if experiment.relay.until is not None:
-        kinds = (Stage.relay, Stage.strokes)
-        relays = [str(kind(number)) for number in range(1, MOST_TESTS + 2) for kind in kinds]
+        kinds = (StageKind.RELAY, StageKind.STROKES)
+        relays = [str(Stage.test(kind, number)) for number in range(1, MOST_TESTS + 2) for kind in kinds]
     if experiment.relay.hysteretic is not None:
         runs = range(1, len(experiment.relay.hysteretic) + 1)
-        relays += [str(StageKind.HOMING), *(str(Stage.hysteretic(number)) for number in runs)]
+        relays += [str(StageKind.HOMING), *(str(Stage.test(StageKind.HYSTERETIC, number)) for number in runs)]
     relays.append(str(StageKind.SURVEY))
     tracks = [] if experiment.tracking is None else [str(Stage.track(method)) for method in experiment.tracking.methods]
     return ["rest", "jog", "breakaway", "search", *relays, *tracks, str(StageKind.LAW), STOPPING]
@@ -717,7 +667,8 @@ def _notes(found: Findings) -> tuple[str, ...]:
 
 def _hysteretic(own: Identification, experiment: Experiment) -> tuple[results.HystereticResult, ...] | None:
     """The hysteretic runs, with the hysteresis that the config asked for; None if there are none."""
-    eps_rad = {str(Stage.hysteretic(k)): run.eps_rad for k, run in enumerate(experiment.relay.hysteretic or (), 1)}
+    asked = enumerate(experiment.relay.hysteretic or (), 1)
+    eps_rad = {str(Stage.test(StageKind.HYSTERETIC, number)): run.eps_rad for number, run in asked}
     runs = tuple(run.model_copy(update={"eps_rad": eps_rad.get(run.stage)}) for run in own.hysteretic)
     return runs or None
 

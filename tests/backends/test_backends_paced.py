@@ -101,6 +101,8 @@ def test_a_paced_run_records_the_same_and_says_how_it_was_paced(tmp_path: Path, 
         rows.append((folder / "samples.csv").read_bytes())
         times.append(json.loads((folder / "meta.json").read_text())["time"])
         notes.append([note for note in outcome["notes"] if "pace" in note])
+        last_meta, last_result = ((folder / f"{file}.json").stat().st_mtime_ns for file in ("meta", "result"))
+        assert last_meta <= last_result  # a folder with a result is whole, whatever ends rig in between
     assert rows[0] == rows[1]
     assert times[0] == {"kind": "virtual"} and notes[0] == []
     assert (times[1]["kind"], times[1]["pace"]) == ("virtual", pace)

@@ -28,7 +28,6 @@ from rig.config import Experiment, load
 from rig.running.preflight import notes, preflight
 from rig.running.preflight.plan import plan
 from rig.running.preflight.room_to_stop import (
-    device_watchdog_s,
     guard_settings_of,
     reaction_periods,
     stopping_rad,
@@ -306,7 +305,7 @@ def test_a_watchdog_that_is_not_there_is_not_counted_and_said_to_be_missing() ->
     """Nothing bounds what the shaft does if the host of such a device dies: no sum may look as if it did."""
     with_one = example()
     none = example({"watchdog": None}, daq={"accept_no_watchdog": True})
-    assert device_watchdog_s(none.device) is None
+    assert backend_of(none.device).watchdog(none.device).time_s is None
     v = none.limits.max_speed_rad_s
     # behind a reply that is lost the stop waits until the line is silent: where no watchdog acts meanwhile, that counts
     assert none.daq.modbus is not None

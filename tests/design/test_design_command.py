@@ -43,7 +43,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def found(run: Path) -> dict[str, Any]:
-    said = rig("design", CONFIG, "--model", run, "--json")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("rig.design.design_map.SIZE", 8)  # gains of each axis: 20 take seconds
+        said = rig("design", CONFIG, "--model", run, "--json")
     assert said.exit_code == 0, said.output
     loaded: dict[str, Any] = json.loads(said.stdout)
     return loaded

@@ -343,14 +343,14 @@ def test_a_defect_after_the_loop_costs_neither_record_nor_result(
     config["relay"] = {"gains": [{"h1_V": 0.42, "h2_V": 0.85}], "cycles": 4}
     config["tracking"] |= {"duration_s": 3.0, "methods": ["sampled-data"]}
     (tmp_path / "tracks.yaml").write_text(yaml.safe_dump(config), encoding="utf-8")
-    for name in ("tracking_error", "write_report"):
-        monkeypatch.setattr(session, name, broken)
+    monkeypatch.setattr(stages, "tracking_errors", broken)
+    monkeypatch.setattr(session, "write_report", broken)
     result = rig("run", tmp_path / "tracks.yaml", "--out", tmp_path / "runs", "--json")
     assert result.exit_code == 1
     folder = Path(json.loads(result.stdout)["folder"])
     outcome = json.loads((folder / "result.json").read_text(encoding="utf-8"))
     assert outcome["estimates"]["sampled-data"]["verdict"] != "refused"
-    assert "a defect" in outcome["tracking"]["sampled-data"]["not_run"]
+    assert outcome["faults"][0]["code"] == "INTERNAL" and "a defect" in outcome["faults"][0]["detail"]
     assert "track:sampled-data" in read_run(folder).stages()
 
     monkeypatch.setattr(session, "identify", broken)

@@ -199,10 +199,13 @@ def test_one_command_of_several_runs_acknowledges_nothing_between_them(
 def test_a_signal_after_the_last_drive_ends_a_command_of_several_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted(*_: Any) -> None:
-        os.kill(os.getpid(), signal.SIGINT)
+    written = session._write_result
 
-    monkeypatch.setattr(session, "_measure_tracking", interrupted)
+    def interrupted(*given: Any) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        written(*given)
+
+    monkeypatch.setattr(session, "_write_result", interrupted)
     config = yaml.safe_load((ROOT / "config/quick.yaml").read_text(encoding="utf-8"))
     del config["tracking"]
     (tmp_path / "c.yaml").write_text(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rig.identification.estimate import Estimate
 from rig.identification.plausibility import judge_motor, judge_records, one_way, without_holes
 from rig.run_folder.recording.series import TimeSeries
-from rig.run_folder.recording.stage import Stage
+from rig.run_folder.recording.stage import Stage, StageKind
 
 Array = NDArray[np.float64]
 STEP_RAD = 2.0 * np.pi / 3200.0
@@ -140,7 +140,10 @@ def test_a_tau_of_no_small_motor_is_the_columns_fault_only_where_the_record_says
 def test_of_a_run_of_rig_nobody_is_asked_to_name_a_columns_unit() -> None:
     """Its config says it: little motion is little motion."""
     little = replace(to_and_fro(0.0), y_rad=0.04 * to_and_fro(0.0).y_rad)
-    for series, words in ((little, "--position y_rad:rad"), (replace(little, stage=Stage.relay(1)), "its config")):
+    for series, words in (
+        (little, "--position y_rad:rad"),
+        (replace(little, stage=Stage.test(StageKind.RELAY, 1)), "its config"),
+    ):
         (reason,) = [one.reason for one in judge_records([series]) if "span only" in one.reason]
         assert words in reason
 

@@ -43,7 +43,7 @@ def test_a_jog_drives_while_it_is_renewed_and_stands_when_the_one_who_jogs_is_go
         folder = found[0].parent
         assert [(one.folder, one.runner.pid) for one in running(tmp_path)] == [(folder, process.pid)]
         view, leaser = LiveView(folder), Leaser(folder)
-        await_(view, lambda seen: seen.stage == "jog" and bool(seen.rows), process)
+        await_(view, lambda seen: seen.numbers["stage"] == "jog" and bool(seen.rows), process)
         for _ in range(6):
             last = leaser.drive(0.6)
             time.sleep(0.05)
@@ -60,7 +60,7 @@ def test_a_jog_drives_while_it_is_renewed_and_stands_when_the_one_who_jogs_is_go
         leaser.close()
     assert process.returncode == 0, said
     assert "rad" in printed and not (folder / NAME).exists()
-    assert (view.read().state, view.read().drive_is_off) == ("ended", True)
+    assert (view.read().state, view.read().numbers["drive_is_off"]) == ("ended", True)
     again = replay(folder)
     assert again.is_same and again.replayed == again.rows == len(view.read().rows)
 

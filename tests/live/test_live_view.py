@@ -60,14 +60,14 @@ def write(folder: Path, name: str, *lines: str) -> None:
 def test_rows_come_once_whole_and_with_their_age(folder: Path, flag: StopFlag) -> None:
     view = LiveView(folder)
     first = view.read()
-    assert (first.state, first.numbers["command"], first.stage, first.rows, first.age_s) == (
+    assert (first.state, first.numbers["command"], first.numbers["stage"], first.rows, first.age_s) == (
         "runs",
         "run",
         None,
         (),
         None,
     )
-    assert first.drive_is_off and first.numbers["limits"]["soft_rad"] == [-1.1, 1.1]
+    assert first.numbers["drive_is_off"] and first.numbers["limits"]["soft_rad"] == [-1.1, 1.1]
     flag.tell(time.monotonic() - 10.0, 0.01)
     write(folder, "samples.csv", row(100), row(101), row(102)[:20])
     seen = view.read()
@@ -96,7 +96,11 @@ def test_the_story_of_a_run_is_told_by_its_events(folder: Path, flag: StopFlag) 
         event("search", 4.0, h1_V=0.3, h2_V=0.7, period_s=None, amplitude_rad=None, outcome="no oscillation"),
     )
     seen = view.read()
-    assert (seen.stage, seen.numbers["planes"], seen.drive_is_off) == ("search", planes(0.3, 0.7), False)
+    assert (seen.numbers["stage"], seen.numbers["planes"], seen.numbers["drive_is_off"]) == (
+        "search",
+        planes(0.3, 0.7),
+        False,
+    )
     assert "no oscillation" in seen.numbers["words"]
     assert seen.numbers["stage_left_s"] == pytest.approx(60.0)  # relay.until.longest_s, and no row has come
     assert (seen.numbers["run_left_s"] or 0.0) > 60.0  # tracking follows
@@ -115,7 +119,7 @@ def test_the_story_of_a_run_is_told_by_its_events(folder: Path, flag: StopFlag) 
         event("stage", 7.6),
     )
     seen = view.read()
-    assert (seen.stage, seen.numbers["planes"]) == ("relay-1", planes(0.42, 0.85))
+    assert (seen.numbers["stage"], seen.numbers["planes"]) == ("relay-1", planes(0.42, 0.85))
     assert [seen.numbers[name] for name in ("cycles", "amplitude_rad", "period_s")] == [2, 0.58, 1.0]
     assert seen.estimates == (
         Estimate(
@@ -134,16 +138,16 @@ def test_the_story_of_a_run_is_told_by_its_events(folder: Path, flag: StopFlag) 
         event("fault", 8.1, code="INTERRUPTED", cause="the run was interrupted", cure="again", detail="Stop by panel"),
     )
     seen = view.read()
-    assert (seen.drive_is_off, seen.numbers["planes"], seen.is_over) == (True, None, False)
+    assert (seen.numbers["drive_is_off"], seen.numbers["planes"], seen.numbers["is_over"]) == (True, None, False)
     assert (seen.faults[0]["code"], seen.faults[0]["detail"]) == ("INTERRUPTED", "Stop by panel")
     write(folder, "events.jsonl", event("end", 8.2))
     seen = view.read()
-    assert (seen.state, seen.is_over) == ("runs", True)  # it identifies, and writes its report
+    assert (seen.state, seen.numbers["is_over"]) == ("runs", True)  # it identifies, and writes its report
     assert seen.numbers["run_left_s"] is None
     assert [name for _, name in seen.stages] == ["search", "relay-1"]
     for stage, is_off in (("identify", True), ("rest", False), ("identify", False)):
         write(folder, "events.jsonl", event("stage", 9.0, name=stage))
-        assert view.read().drive_is_off is is_off, "while rig identifies, nothing drives that did not before"
+        assert view.read().numbers["drive_is_off"] is is_off, "while rig identifies, nothing drives that did not before"
 
 
 def test_a_run_that_nobody_makes_has_ended_or_died_or_was_never_there(folder: Path, tmp_path: Path) -> None:
@@ -175,7 +179,7 @@ def test_a_file_that_has_grown_by_gigabytes_is_read_piece_by_piece(folder: Path)
             events.write(fault + "\n")
         events.write(json.dumps({"kind": "stage", "t_s": 2.0, "name": "relay-1"}) + "\n")
     view = LiveView(folder)
-    stages = [view.read().stage for _ in range(4)]
+    stages = [view.read().numbers["stage"] for _ in range(4)]
     assert stages == [None, None, "relay-1", "relay-1"]
     assert len(view.read().faults) == 200
     with (folder / "events.jsonl").open("ab") as events:

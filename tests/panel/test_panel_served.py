@@ -49,7 +49,7 @@ class Served:
             stderr=subprocess.STDOUT,
             text=True,
             start_new_session=True,
-            env=plain_runs(folder),
+            env=plain_runs(folder, "rig run", "rig jog", "rig.panel.calibrating"),
         )
         assert self.process.stdout is not None
         found = re.search(r"(http://127\.0\.0\.1:(\d+))/\?token=(\S+)", self.process.stdout.readline())

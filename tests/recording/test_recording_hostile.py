@@ -104,7 +104,7 @@ def test_a_hostile_value_in_an_event_costs_that_line_and_no_other(tmp_path: Path
         read_run(folder)
     assert told.value.line == 1
     view = LiveView(folder)
-    assert view.read().damaged == 1 and view.read().is_over
+    assert view.read().damaged == 1 and view.read().numbers["is_over"]
     messages = shown(folder)
     assert messages[-1]["is_over"]
     report = load_for_report(folder)
@@ -292,10 +292,10 @@ def test_a_file_that_grows_while_it_is_read_gives_its_whole_lines(tmp_path: Path
     half = good.rindex(b"\n", 0, len(good) - 1) + 10
     (folder / "events.jsonl").write_bytes(good[:half])
     view = LiveView(folder)
-    assert not view.read().is_over
+    assert not view.read().numbers["is_over"]
     with (folder / "events.jsonl").open("ab") as file:
         file.write(good[half:])
-    assert view.read().is_over and view.read().damaged == 0
+    assert view.read().numbers["is_over"] and view.read().damaged == 0
 
 
 def test_of_several_runs_a_damaged_one_is_left_out_of_a_comparison(tmp_path: Path) -> None:

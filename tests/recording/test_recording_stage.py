@@ -38,7 +38,12 @@ def test_any_name_is_a_stage_and_stays_its_name(name: str) -> None:
 
 @given(st.integers(1, 99), st.text())
 def test_what_is_built_is_what_is_parsed(number: int, method: str) -> None:
-    for stage in (Stage.relay(number), Stage.strokes(number), Stage.hysteretic(number), Stage.track(method)):
+    for stage in (
+        Stage.test(StageKind.RELAY, number),
+        Stage.test(StageKind.STROKES, number),
+        Stage.test(StageKind.HYSTERETIC, number),
+        Stage.track(method),
+    ):
         assert Stage.parse(str(stage)) == stage
 
 

@@ -47,9 +47,9 @@ from rig.control.trajectory import SumOfSines
 from rig.core.signals import Sample
 from rig.model.bench import BenchParameters
 from rig.model.motor import State
+from rig.running.experiment.tracked import FADE_S
 from rig.running.preflight.breakaway_strokes import breakaway_strokes
 from rig.running.preflight.room_to_stop import guard_settings_of
-from rig.running.session import FADE_S
 
 ROOT = Path(__file__).resolve().parents[2]
 GAINS_V = (0.45, 0.9)

@@ -354,9 +354,9 @@ def hostile_run(data: bytes) -> None:
             assert error.cure
     view = LiveView(folder)
     snapshot = view.read()
-    while (again := view.read()).rows != snapshot.rows or again.is_over != snapshot.is_over:
+    while (again := view.read()).rows != snapshot.rows or again.numbers["is_over"] != snapshot.numbers["is_over"]:
         snapshot = again
-    assert which != 0 or snapshot.is_over, "the good events behind the hostile ones were not seen"
+    assert which != 0 or snapshot.numbers["is_over"], "the good events behind the hostile ones were not seen"
     told = Follower(0).due(Scene(run=folder.name, snapshot=snapshot), operator=False, now_s=1.0)
     listed = [run.as_json() for run in catalogue(folder.parent).runs]
     for message in (*told, json.dumps([listed, Runs(folder.parent).row(folder)], allow_nan=False)):

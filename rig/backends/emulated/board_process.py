@@ -15,6 +15,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from rig.backends.emulated.errors import EmulationError
+from rig.core.halted import end_within
 
 if TYPE_CHECKING:  # not on Windows
     from rig.backends.emulated.real_time import Served
@@ -87,11 +88,7 @@ class BoardProcess:
         if process is None:
             return
         process.terminate()
-        try:
-            process.wait(_STOP_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        end_within(process, _STOP_S)
         for stream in (process.stdin, process.stdout, process.stderr):
             if stream is not None:
                 stream.close()

@@ -17,7 +17,7 @@ from rig.model.real_motor import FramedMotor
 from rig.output.export.whole_run import ExportedRun
 from rig.run_folder.recording.text_file import content_of
 from rig.run_folder.recording.writer import SAMPLES
-from rig.run_folder.results import Answer, JsonObject
+from rig.run_folder.results import Answer, JsonObject, whole
 from rig.run_folder.results.answer_words import validity
 
 # What the estimate calls what the motor calls otherwise.
@@ -204,7 +204,7 @@ def identified_motor(run_folder: Path, run: ExportedRun) -> IdentifiedMotor:
     framed, answer = known_model(run_folder, math.inf), run.result.answer
     assert answer is not None  # it is where the model comes from
     laws = tuple(
-        LawInWords(law.name, law.value, law.unit, _whole(law.ci95)) for law in answer.law or () if law.value is not None
+        LawInWords(law.name, law.value, law.unit, whole(law.ci95)) for law in answer.law or () if law.value is not None
     )
     meta, samples = run.recording.meta, run_folder / SAMPLES
     provenance = Provenance(
@@ -230,7 +230,7 @@ def _numbers(framed: FramedMotor, delay_s: float, answer: Answer) -> Iterable[Kn
     sizes = {}
     for law in answer.law or ():
         if len(law.numbers) == 1:  # then the size of the law is the number itself
-            sizes[next(iter(law.numbers))] = _whole(law.ci95)
+            sizes[next(iter(law.numbers))] = whole(law.ci95)
     of_places = any(has.get(name) for name in _OVER_POSITION)
     for name in NUMBERS:
         if name not in has or (name in _OF_PLACES and not of_places):
@@ -238,9 +238,3 @@ def _numbers(framed: FramedMotor, delay_s: float, answer: Answer) -> Iterable[Kn
         of_estimate = _OF_ESTIMATE.get(name, name)
         interval = answer.interval(of_estimate) or sizes.get(name)
         yield KnownNumber(name, has[name], interval, u95.get(of_estimate), absolute.get(of_estimate))
-
-
-def _whole(interval: tuple[float | None, float | None] | None) -> tuple[float, float] | None:
-    """An interval with both ends, or None."""
-    low, high = interval or (None, None)
-    return None if low is None or high is None else (low, high)

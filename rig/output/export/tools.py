@@ -16,7 +16,7 @@ from rig.output.export.whole_run import ExportedRun, as_mat, load
 from rig.output.export.wpilib import WPILIB
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import write_whole
-from rig.run_folder.recording.path_kind import is_file_of_a_run
+from rig.run_folder.recording.path_kind import require_free
 from rig.run_folder.results import JsonObject
 
 _SIMULATION: Final = "motor_simulate.m"
@@ -95,9 +95,6 @@ def _make_ready(into: Path, paths: Sequence[Path], *, overwrite: bool) -> None:
             raise RecordingError(into, "is no folder", "name another one with --into")
         into.mkdir(parents=True, exist_ok=True)
         for path in paths:
-            if is_file_of_a_run(path):
-                raise RecordingError(path, "is a file of the run itself", "name another folder with --into")
-            if path.is_dir() or (path.exists() and not overwrite):
-                raise RecordingError(path, "is there already", "name another folder, or add --force to replace it")
+            require_free(path, "another folder with --into", overwrite=overwrite)
     except OSError as error:
         raise RecordingError(into, f"cannot be used: {error.strerror}", "name another folder") from error

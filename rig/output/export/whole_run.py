@@ -30,7 +30,7 @@ from rig.config.problems import ConfigError
 from rig.config.yaml12 import parse
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import RESULT, json_text, write_whole
-from rig.run_folder.recording.path_kind import is_file_of_a_run
+from rig.run_folder.recording.path_kind import require_free
 from rig.run_folder.recording.reader import read_result, read_run
 from rig.run_folder.recording.recording import Recording
 from rig.run_folder.recording.sample_columns import COLUMNS, KINDS, UNITS
@@ -102,12 +102,7 @@ def export(
             raise RecordingError(to, "is a folder", f"name a file in it, such as {to / ('run' + to.suffix)}")
         if not to.parent.is_dir():
             raise RecordingError(to.parent, "is no folder", "make it first, or name a file in another folder")
-        if is_file_of_a_run(to):
-            raise RecordingError(
-                to, "is a file of the run itself", f"name another file, such as {to.parent / ('run' + to.suffix)}"
-            )
-        if to.exists() and not overwrite:
-            raise RecordingError(to, "is there already", "name another file, or add --force to replace it")
+        require_free(to, f"another file, such as {to.parent / ('run' + to.suffix)}", overwrite=overwrite)
     except OSError as error:
         raise RecordingError(to, f"cannot be written: {error.strerror}", "name a file in another folder") from error
     run = load(run_folder, stage, rows)

@@ -220,19 +220,15 @@ def tuned(run: ReportedRun) -> list[Row]:
     found = run.result.tuned
     made: list[Row] = []
     for one in () if found is None else found.prediction.values():
-        low, high = one.interval95
+        median, interval, bench = one.words()
         cells: list[Cell] = [
-            (one.median, _or_never(one.median)),
-            (None, f"{_or_never(low)} to {_or_never(high)}"),
-            (one.bench, _or_never(one.bench)),
+            (one.median, median),
+            (None, interval),
+            (one.bench, bench),
             (None, "" if one.inside else "outside"),
         ]
         made.append((f"{one.meaning}, {one.unit}", cells))
     return made
-
-
-def _or_never(value: float | None) -> str:
-    return "never" if value is None else f"{value:.3g}"
 
 
 def loop(run: ReportedRun) -> list[tuple[str, Cell]]:

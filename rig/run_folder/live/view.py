@@ -125,8 +125,6 @@ class Snapshot:
     runner        the process that makes it; None: none does
     rows          the newest rows, the oldest first; at most KEPT_ROWS
     age_s         since the newest row was sampled; None: no row, or nobody knows
-    stage         name of the present stage; None: none yet
-    drive_is_off, is_over   as of ``LiveNumbers``
     damaged       lines of the folder's files that are no rows and no events
     """
 
@@ -134,9 +132,6 @@ class Snapshot:
     runner: Runner | None
     rows: tuple[LiveRow, ...]
     age_s: float | None
-    stage: str | None
-    drive_is_off: bool
-    is_over: bool
     numbers: LiveNumbers
     estimates: tuple[Estimate, ...]
     faults: tuple[SeenFault, ...]
@@ -182,9 +177,6 @@ class LiveView:
             runner=runner,
             rows=tuple(self._rows),
             age_s=age_s,
-            stage=story.stages[-1][1] if story.stages else None,
-            drive_is_off=story.drive_is_off,
-            is_over=story.progress.ended,
             numbers=self._numbers(runner, now_s, age_s),
             estimates=tuple(story.estimates),
             faults=tuple(story.faults),

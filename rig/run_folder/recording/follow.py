@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
 from rig.core import strict_json
+from rig.core.halted import end_within
 from rig.core.plain_file import open_plain
 from rig.core.strict_json import JsonObject
 from rig.run_folder.recording.sample_columns import COLUMNS
@@ -56,11 +57,7 @@ def following(folder: Path) -> Iterator[None]:
     finally:
         if viewer.stdin is not None:
             viewer.stdin.close()
-        try:
-            viewer.wait(timeout=3.0)
-        except subprocess.TimeoutExpired:
-            viewer.kill()
-            viewer.wait()
+        end_within(viewer, 3.0)
 
 
 class Tail:

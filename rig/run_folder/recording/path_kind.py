@@ -39,6 +39,17 @@ def is_file_of_a_run(path: Path) -> bool:
     return path.name in _OF_A_RUN and is_run(path.parent)
 
 
+def require_free(path: Path, other: str, *, overwrite: bool) -> None:
+    """Raise RecordingError where a file of a run is, or anything else that is not to be replaced; OSError.
+
+    other  what to name instead
+    """
+    if is_file_of_a_run(path):
+        raise RecordingError(path, "is a file of the run itself", f"name {other}")
+    if path.is_dir() or (path.exists() and not overwrite):
+        raise RecordingError(path, "is there already", f"name {other}, or add --force to replace it")
+
+
 def require_distinct(paths: Iterable[Path]) -> None:
     """Raise RecordingError if two paths are one recording: its rows would count twice."""
     seen = set()

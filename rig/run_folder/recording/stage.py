@@ -63,19 +63,9 @@ class Stage:
         return cls(name, _PLAIN.get(name, StageKind.OTHER))
 
     @classmethod
-    def relay(cls, number: int) -> Stage:
-        """A relay test, numbered from 1."""
-        return cls(f"{StageKind.RELAY}-{number}", StageKind.RELAY, number)
-
-    @classmethod
-    def strokes(cls, number: int) -> Stage:
-        """A stroke test, numbered from 1."""
-        return cls(f"{StageKind.STROKES}-{number}", StageKind.STROKES, number)
-
-    @classmethod
-    def hysteretic(cls, number: int) -> Stage:
-        """A run of a hysteretic relay, numbered from 1."""
-        return cls(f"{StageKind.HYSTERETIC}-{number}", StageKind.HYSTERETIC, number)
+    def test(cls, kind: StageKind, number: int) -> Stage:
+        """A test of this kind, numbered from 1."""
+        return cls(f"{kind}-{number}", kind, number)
 
     @classmethod
     def track(cls, method: str) -> Stage:

@@ -23,6 +23,7 @@ from rig.run_folder.results.estimates import RelayTestResult as RelayTestResult
 from rig.run_folder.results.estimates import ResidualResult as ResidualResult
 from rig.run_folder.results.estimates import StaticFrictionResult as StaticFrictionResult
 from rig.run_folder.results.estimates import known as known
+from rig.run_folder.results.estimates import whole as whole
 from rig.run_folder.results.event import Decided as Decided
 from rig.run_folder.results.event import DrivenModel as DrivenModel
 from rig.run_folder.results.event import DrivenStroke as DrivenStroke

@@ -75,7 +75,7 @@ class EstimateResult(Part):
 
     def interval(self, name: str) -> tuple[float, float] | None:
         """The 95 % interval of one parameter; None if it has none."""
-        return _finite((self.ci95 or {}).get(name))
+        return whole((self.ci95 or {}).get(name))
 
     def at_95(self, name: str) -> tuple[float, float] | None:
         """The interval of one parameter that people are told, at 95 %; None if it has none."""
@@ -204,7 +204,7 @@ class FrictionMapResult(Part):
     positions: tuple[MapPositionResult, ...] = key("by position; empty: no sweep was steady", ())
 
 
-def _finite(interval: Interval | None) -> tuple[float, float] | None:
+def whole(interval: Interval | None) -> tuple[float, float] | None:
     """An interval with both its ends; None without one of them."""
     low, high = map(known, interval or (None, None))
     return (low, high) if math.isfinite(low) and math.isfinite(high) else None

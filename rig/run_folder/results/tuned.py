@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from pydantic import Field
 
+from rig.run_folder.results.estimates import known
 from rig.run_folder.results.part import Count, Flag, Number, Part, Real, Sometimes, Text, key
 
 
@@ -43,6 +45,12 @@ class TunedMeasure(Part):
     interval95: tuple[Number, Number] = Field(description="that holds a next motor's value in 95 %")
     bench: Sometimes[Number] = key("of the bench")
     inside: Sometimes[Flag] = key("whether the interval holds the bench's value")
+
+    def words(self) -> tuple[str, str, str]:
+        """Median, interval and the bench's value; never: the step did not come there."""
+        numbers = map(known, (self.median, *self.interval95, self.bench))
+        median, low, high, bench = (f"{one:.3g}" if math.isfinite(one) else "never" for one in numbers)
+        return median, f"{low} to {high}", bench
 
 
 class TunedCurve(Part):

@@ -189,13 +189,13 @@ class Talk:
         """The answer; as of ``Ask``. Raises Skipped, and what ``Front.ask`` does."""
         return self._front.ask(Ask(words, kind, **more))
 
-    def choice(self, before: Say | None, words: str, choices: Pairs) -> str:
-        """One of these answers; the first is the default."""
+    def choice(self, before: Say | None, words: str, choices: Pairs, *, skips: bool = True) -> str:
+        """One of these answers; the first is the default. Raises as ``ask``; ``skips``: as of ``Ask``."""
         if before is not None:
             self._front.say(before)
         names = [name for name, _ in choices]
         while True:
-            answer = self.ask(words, "choice", default=names[0], choices=choices).strip().lower()
+            answer = self.ask(words, "choice", default=names[0], choices=choices, skips=skips).strip().lower()
             if answer == "":
                 return names[0]
             meant = [name for name in names if name.startswith(answer)]

@@ -15,7 +15,7 @@ from rig.config.problems import ConfigError
 from rig.control.loop.stop_request import Gone
 from rig.core.errors import CauseError
 from rig.run_folder.live.stop_flag import StopFlag
-from rig.running.calibrate.dialogue import Ask, Front, Say, Skipped, Talk
+from rig.running.calibrate.dialogue import Front, Say, Skipped, Talk
 from rig.running.calibrate.draft import Draft, require_writable, save
 from rig.running.calibrate.steps import calibration
 from rig.running.preflight import preflight
@@ -101,7 +101,8 @@ def calibrate(
     except OSError as error:
         raise NotWrittenError(f"{file}: {error.strerror}", "check the path") from error
     with HandBench(opened.draft.original, runs, flag, gone) as bench:
-        found = calibration(Talk(front, bench.perform), opened.draft, steps)
+        talk = Talk(front, bench.perform)
+        found = calibration(talk, opened.draft, steps)
     problems = tuple(map(str, preflight(found.experiment).problems))
     if not found.changes:
         front.say(Say(f"{file}: nothing to change"))
@@ -109,7 +110,7 @@ def calibrate(
     front.say(Say("changes: " + f"{file}\n" + "\n".join(f"  {line}" for line in found.lines()), "step"))
     if problems:
         front.say(Say("`rig check` will say:\n" + "\n".join(f"  {problem}" for problem in problems), "refused"))
-    if not _yes(front, f"write this to {file}?"):
+    if not _yes(talk, f"write this to {file}?"):
         raise NotWrittenError("nothing is written", f"{file} is as it was")
     front.writes()
     try:
@@ -121,16 +122,9 @@ def calibrate(
     return Finished(found, backup, problems)
 
 
-def _yes(front: Front, words: str) -> bool:
+def _yes(talk: Talk, words: str) -> bool:
     """Whether somebody says yes; the empty answer is yes. Leaving it out is no."""
-    question = Ask(words, "choice", "yes", choices=(("yes", ""), ("no", "")), skips=False)
-    while True:
-        try:
-            answer = front.ask(question).strip().lower()
-        except Skipped:
-            return False
-        if answer in ("", "y", "yes"):
-            return True
-        if answer in ("n", "no"):
-            return False
-        front.say(Say(f"{answer!r} is no answer here\ntype yes or no", "refused"))
+    try:
+        return talk.choice(None, words, (("yes", ""), ("no", "")), skips=False) == "yes"
+    except Skipped:
+        return False

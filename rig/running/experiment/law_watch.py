@@ -26,7 +26,7 @@ from rig.backends.clock import MonotonicClock
 from rig.control.law import Stopped, Timed, is_of_own_law
 from rig.core.copies import keep_from_copies, no_longer_own
 from rig.core.faults import Fault
-from rig.core.halted import Halts
+from rig.core.halted import Halts, end_within
 from rig.core.memory_file import create_file
 from rig.core.signals import Sample
 from rig.run_folder.live.law_lease import SIZE, LawLease
@@ -206,11 +206,7 @@ class Keeper:
             pipe.close()
         if self._process.poll() is None and self._halts.is_stopped:
             self._process.kill()
-        try:
-            self._process.wait(_CLOSES_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        end_within(self._process, _CLOSES_S)
 
     def let_go(self) -> None:
         """Free what was shared with it."""

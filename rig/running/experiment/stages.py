@@ -47,6 +47,7 @@ from rig.run_folder.recording.stage import Stage, StageKind
 from rig.run_folder.results import JogResult, RealTimeReport, TrackingResult
 from rig.run_folder.results.answer_words import beyond_drive
 from rig.run_folder.results.result import NO_ESTIMATE
+from rig.running.experiment.tracked import FADE_S, tracking_errors
 from rig.running.experiment.which_way import strokes_move_against
 from rig.running.preflight.breakaway_strokes import FRICTION_DIFFERS, breakaway_strokes
 from rig.running.preflight.room_to_stop import (
@@ -57,7 +58,7 @@ from rig.running.preflight.room_to_stop import (
     room_for_delay_s,
     swing_rad,
 )
-from rig.running.session import FADE_S, Session, beside_data_sheet, real_time_of
+from rig.running.session import Session, beside_data_sheet, real_time_of
 
 REST_S = 0.7
 FLICKERS_LSB = 0.7  # noise of a reading that, in 30 samples at rest, stays the same less often than once in 10^5
@@ -425,7 +426,7 @@ def _test_relay(
     number, pair_V = test
     cycle_s = expected_period_s if expected_period_s is not None else 2.0
     timeout_s = RELAY_TIMEOUT_PERIODS * e.relay.cycles * cycle_s
-    stage = str(Stage.relay(number))
+    stage = str(Stage.test(StageKind.RELAY, number))
     session.note("gains", stage=stage, h1_V=pair_V[0], h2_V=pair_V[1], cycles=e.relay.cycles)
     watch = _watch_cycles(session, detector, stage)
     law, command = relay_law(session, (relay, detector), pair_V, e.relay.cycles, timeout_s)
@@ -484,7 +485,7 @@ def test_hysteretic(session: Session) -> None:
         if abs(wanted.d_V) <= level_V:
             raise Fault("DRIVE_TOO_SMALL", f"run {number}: d_V {wanted.d_V:+.3f} V; it broke away at {level_V:.3f} V")
     for number, wanted in enumerate(e.relay.hysteretic, start=1):
-        stage = str(Stage.hysteretic(number))
+        stage = str(Stage.test(StageKind.HYSTERETIC, number))
         bring_home(session)
         session.note("hysteretic", stage=stage, d_V=wanted.d_V, eps_rad=wanted.eps_rad)
         relay = HystereticRelay(wanted.d_V, wanted.eps_rad)
@@ -637,14 +638,21 @@ def track(session: Session, models: Mapping[Method, Motor | FramedMotor], furthe
     """
     # an observer's gain takes longer than a tick
     laws = {method: _tracking_law(session, motor, further_delay_s) for method, motor in models.items()}
-    with driving(session):
-        for method, law in laws.items():
+    ended, shaft = list[Method](), None
+    try:
+        with driving(session):
+            for method, law in laws.items():
+                session.loop.run(Rest(REST_S), "rest")
+                session.loop.run(law, str(Stage.track(method)))
+                _note_tracking(session, method, models[method], law.largest_u_V)
+                ended.append(method)
             session.loop.run(Rest(REST_S), "rest")
-            session.loop.run(law, str(Stage.track(method)))
-            _note_tracking(session, method, models[method], law.largest_u_V)
-        session.loop.run(Rest(REST_S), "rest")
-        if session.bench.shaft is not None:
-            session.found.shaft = session.bench.shaft()
+            shaft = None if session.bench.shaft is None else session.bench.shaft()
+    finally:  # also where a fault ended a later one
+        for method in ended:
+            tracked = session.found.tracking[method]
+            errors = tracking_errors(session, laws[method], models[method], shaft)
+            session.found.tracking[method] = tracked.model_copy(update=errors)
 
 
 def _note_tracking(session: Session, method: Method, model: Motor | FramedMotor, largest_u_V: float) -> None:
@@ -662,7 +670,6 @@ def _note_tracking(session: Session, method: Method, model: Motor | FramedMotor,
     if isinstance(model, Motor):
         session.found.tracking[method] = TrackingResult()
         return
-    session.found.real_motors[method] = model
     left_out = tuple(part for part in model.parts if part in NOT_COMPENSATED)
     session.found.tracking[method] = TrackingResult(
         law=tuple(part for part in model.parts if part not in left_out), law_left_out=left_out or None

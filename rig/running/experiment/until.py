@@ -26,7 +26,7 @@ from rig.design.advisor import Advice
 from rig.design.planned_test import PlannedTest, RelayGains, Strokes
 from rig.identification.live import LiveEstimate
 from rig.model.real_motor import FramedMotor
-from rig.run_folder.recording.stage import StageKind
+from rig.run_folder.recording.stage import Stage, StageKind
 from rig.run_folder.results import LiveResult, StoppedResult
 from rig.running.experiment import stages
 from rig.running.experiment.advisers import Advisers, advisers_of, advisor_settings
@@ -229,7 +229,7 @@ class _Tests:
 
     def _numbered(self, kind: StageKind) -> str:
         self._number += 1
-        return f"{kind}-{self._number}"
+        return str(Stage.test(kind, self._number))
 
     def _drive(
         self,

@@ -41,17 +41,10 @@ def _further_lag_s(d: DeviceSetup) -> float:
     return max(_VELOCITY_LAG_S - 2.0 * d.period_s, 0.0)
 
 
-def device_watchdog_s(d: DeviceSetup) -> float | None:
-    """Silence of the host after which the device drives 0 V, s; None where it has no watchdog.
-
-    If only the device can say whether it has one: the time that it would be armed with.
-    """
-    return backend_of(d).watchdog(d).time_s
-
-
 def known_reaction_s(d: DeviceSetup) -> float:
     """``reaction_s`` plus one lost reply plus the device's watchdog, where it has one, s."""
-    return reaction_s(d) + backend_of(d).lost_reply_s(d) + (device_watchdog_s(d) or 0.0)
+    own = backend_of(d)
+    return reaction_s(d) + own.lost_reply_s(d) + (own.watchdog(d).time_s or 0.0)
 
 
 def limits_are_ordered(d: DeviceSetup) -> bool:
@@ -90,7 +83,7 @@ def stopping_terms(d: DeviceSetup) -> tuple[tuple[str, float], ...]:
     """
     v = d.limits.max_speed_rad_s
     lag_s, adapter_s = _further_lag_s(d), backend_of(d).reply_delay_s(d)
-    watchdog_s, lost_s = device_watchdog_s(d), backend_of(d).lost_reply_s(d)
+    watchdog_s, lost_s = backend_of(d).watchdog(d).time_s, backend_of(d).lost_reply_s(d)
     return (
         (f"{reaction_periods(d)} periods", v * reaction_periods(d) * d.period_s),
         *((("velocity window", v * lag_s),) if lag_s > 0.0 else ()),
@@ -184,9 +177,10 @@ def stopping_sum(d: DeviceSetup) -> str:
     terms = stopping_terms(d)
     written = " + ".join(f"{rad:.3f} ({words})" for words, rad in terms)
     total = f"at {d.limits.max_speed_rad_s:g} rad/s: {written} = {stopping_rad(d):.3f} rad"
-    if device_watchdog_s(d) is None:
+    watchdog = backend_of(d).watchdog(d)
+    if watchdog.time_s is None:
         return f"{total} while the host lives; if the host dies nothing bounds it: the device has no watchdog"
-    if not backend_of(d).watchdog(d).certain and d.daq.accept_no_watchdog:
+    if not watchdog.certain and d.daq.accept_no_watchdog:
         return f"{total} if the plug-in driver's device has a watchdog; without one nothing bounds it if the host dies"
     return total
 

@@ -137,7 +137,7 @@ def _room_to_stop(d: DeviceSetup) -> Iterator[Problem]:
     if not stopping.limits_are_ordered(d):
         return
     room = stopping.room_rad(d)
-    distance = sum(rad for _, rad in stopping.stopping_terms(d))
+    distance = stopping.stopping_rad(d)
     if distance <= room:
         return
     slower = d.limits.max_speed_rad_s * room / distance
@@ -146,7 +146,7 @@ def _room_to_stop(d: DeviceSetup) -> Iterator[Problem]:
         f"no room to stop: {stopping.stopping_sum(d)}, but from the centre of travel (0 rad) "
         f"the nearer hard limit is {room:.3f} rad away",
         f"at most {_floor(slower):g} rad/s"
-        + (", or a shorter daq.watchdog_s" if stopping.device_watchdog_s(d) is not None else "")
+        + (", or a shorter daq.watchdog_s" if backend_of(d).watchdog(d).time_s is not None else "")
         + ", or wider limits.hard_rad",
     )
 
