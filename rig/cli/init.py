@@ -309,7 +309,18 @@ def _chosen(what: str, given: str | None, words: dict[str, str], default: str | 
     click.echo(f"{what}:")
     for name, meaning in words.items():
         click.echo(f"  {name:{width}}  {meaning}")
-    return str(click.prompt(what, default, type=click.Choice(list(words)), show_choices=False))
+    return str(_answer(what, default, click.Choice(list(words))))
+
+
+def _answer(what: str, default: float | str | None, kind: click.ParamType) -> Any:
+    """As answered; an empty answer is the default, and where there is none it is said so."""
+
+    def converted(answer: Any) -> Any:
+        if answer == "":
+            raise click.UsageError("this has no default: a wrong one is dangerous")
+        return kind.convert(answer, None, None)
+
+    return click.prompt(what, "" if default is None else default, value_proc=converted, show_default=default is not None)
 
 
 def _asked(what: str, default: str, asks: bool) -> str:
@@ -335,7 +346,7 @@ def _number(
         return default
     trial = possible(name)
     while True:
-        answer: Any = click.prompt(what, default=default, type=type(getattr(trial, name)))
+        answer = _answer(what, default, click.INT if isinstance(getattr(trial, name), int) else click.FLOAT)
         try:
             replace(trial, **{name: answer})
         except new_bench.AnswerError as error:

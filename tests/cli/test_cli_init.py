@@ -95,9 +95,10 @@ def test_an_answer_that_cannot_be_is_asked_for_again(tmp_path: Path, monkeypatch
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("click.testing._NamedTextIOWrapper.isatty", lambda self: True, raising=False)
     answers = "arduino uno encoder tb6612 turns /dev/ttyACM3 volts 24 9 0 64 -1 50 1 20 nan 200 full"
-    told = CliRunner().invoke(main, ["init"], input=answers.replace(" ", "\n") + "\n")
+    told = CliRunner().invoke(main, ["init"], input="\n" + answers.replace(" ", "\n") + "\n")
     assert told.exit_code == 0, told.output
     for said in (
+        "this has no default",
         "'arduino' is not one of",
         "'volts' is not a valid",
         "a motor supply of 24 V is nothing for TB6612FNG",
