@@ -16,6 +16,7 @@ from rig.cli.shared import EXIT_FAILED, FILE, fail, fail_config, written
 from rig.config import ConfigError, new_bench
 from rig.config.bridges import BRIDGES, RUNS_FREE
 from rig.config.edit import with_values
+from rig.config.load import load
 
 VALUES = {"--bridge": "NAME", "--no-load-rpm": "RPM", "--counts-per-turn": "COUNTS"}  # of what has no default
 _SERVO: Final = "servo"
@@ -93,7 +94,8 @@ def init(
     from rig.backends.links.usb_port import usb_port
     from rig.backends.serial.flashing import board_of
     from rig.running import preflight
-    from rig.running.preflight.rehearsal import swings_in_reach
+    from rig.running.preflight.breakaway_strokes import fitting_max_V
+    from rig.running.preflight.rehearsal import FRICTION_SHARE, swings_in_reach
     from rig.running.preflight.room_to_stop import longest_watchdog_s
 
     asks = not yes
@@ -171,14 +173,13 @@ def init(
         with written(file):
             with file.open("x", encoding="utf-8") as new:
                 new.write(text)
-            experiment, _ = preflight.check(file)
-            longest_s = longest_watchdog_s(experiment)
+            experiment = load(file)
             fitting = swings_in_reach(experiment)
-            if longest_s is not None and longest_s != experiment.daq.watchdog_s:
+            fitting["breakaway", "max_V"] = fitting_max_V(experiment, 2.0 * FRICTION_SHARE * experiment.drive.supply_V)
+            if (longest_s := longest_watchdog_s(experiment)) is not None:
                 fitting["daq", "watchdog_s"] = longest_s
-            if fitting:
-                file.write_text(with_values(text, fitting), encoding="utf-8")
-                experiment, _ = preflight.check(file)
+            file.write_text(with_values(text, fitting), encoding="utf-8")
+            experiment, _ = preflight.check(file)
     except ConfigError as error:
         fail_config(
             error,
@@ -312,7 +313,7 @@ def _chosen(what: str, given: str | None, words: dict[str, str], default: str | 
     return str(_answer(what, default, click.Choice(list(words))))
 
 
-def _answer(what: str, default: float | str | None, kind: click.ParamType) -> Any:
+def _answer(what: str, default: float | str | None, kind: click.ParamType[Any]) -> Any:
     """As answered; an empty answer is the default, and where there is none it is said so."""
 
     def converted(answer: Any) -> Any:
@@ -320,7 +321,9 @@ def _answer(what: str, default: float | str | None, kind: click.ParamType) -> An
             raise click.UsageError("this has no default: a wrong one is dangerous")
         return kind.convert(answer, None, None)
 
-    return click.prompt(what, "" if default is None else default, value_proc=converted, show_default=default is not None)
+    return click.prompt(
+        what, "" if default is None else default, value_proc=converted, show_default=default is not None
+    )
 
 
 def _asked(what: str, default: str, asks: bool) -> str:
