@@ -318,7 +318,7 @@ def _answer(what: str, default: float | str | None, kind: click.ParamType[Any]) 
 
     def converted(answer: Any) -> Any:
         if answer == "":
-            raise click.UsageError("this has no default: a wrong one is dangerous")
+            raise click.UsageError("this has no default: type what your bench has")
         return kind.convert(answer, None, None)
 
     return click.prompt(
