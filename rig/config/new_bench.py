@@ -71,7 +71,7 @@ LIMITS: Final = {
     "none": "it turns without end: a person must be able to reach the e-stop",
 }
 TESTS: Final = {
-    "full": "limit cycles at two pairs of gains, recorded and identified by each method: two minutes, a slow motor four",
+    "full": "limit cycles at two pairs of gains, recorded and identified by each method: two minutes, or four if slow",
     "quick": "tests that rig designs, until tau, K and f_c are known: some seconds; no limit cycle is recorded",
 }
 
