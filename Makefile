@@ -17,6 +17,7 @@ ifdef REALTIME
 else
 	$(RIG) run $(CONFIG)
 endif
+	@echo 'to type rig as it stands here: . .venv/bin/activate'
 
 setup: .venv/.ready  ## all that tests, checks, documents and panel need, Debian packages included, by sudo; make test does it
 

@@ -56,7 +56,7 @@ def export(
         fail(f"--N-m-per-V and --R-ohm are for a tool, and {to!r} is none", "leave them out")
     elif into is not None:
         fail(f"--into is for a tool, and {to!r} is none", f"--to one of {', '.join(TOOLS)}")
-    elif not Path(to).suffix:
+    elif Path(to).suffix.lower() not in FORMATS:
         fail(
             f"{to}: ends in none of {', '.join(FORMATS)}, and is no tool",
             f"give a file with one of these suffixes, or one of {', '.join(TOOLS)}",

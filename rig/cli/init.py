@@ -16,6 +16,7 @@ from rig.cli.shared import EXIT_FAILED, FILE, fail, fail_config, written
 from rig.config import ConfigError, new_bench
 from rig.config.bridges import BRIDGES, RUNS_FREE
 from rig.config.edit import with_values
+from rig.config.load import load
 
 VALUES = {"--bridge": "NAME", "--no-load-rpm": "RPM", "--counts-per-turn": "COUNTS"}  # of what has no default
 _SERVO: Final = "servo"
@@ -93,7 +94,8 @@ def init(
     from rig.backends.links.usb_port import usb_port
     from rig.backends.serial.flashing import board_of
     from rig.running import preflight
-    from rig.running.preflight.rehearsal import swings_in_reach
+    from rig.running.preflight.breakaway_strokes import fitting_max_V
+    from rig.running.preflight.rehearsal import FRICTION_SHARE, swings_in_reach
     from rig.running.preflight.room_to_stop import longest_watchdog_s
 
     asks = not yes
@@ -171,14 +173,13 @@ def init(
         with written(file):
             with file.open("x", encoding="utf-8") as new:
                 new.write(text)
-            experiment, _ = preflight.check(file)
-            longest_s = longest_watchdog_s(experiment)
+            experiment = load(file)
             fitting = swings_in_reach(experiment)
-            if longest_s is not None and longest_s != experiment.daq.watchdog_s:
+            fitting["breakaway", "max_V"] = fitting_max_V(experiment, 2.0 * FRICTION_SHARE * experiment.drive.supply_V)
+            if (longest_s := longest_watchdog_s(experiment)) is not None:
                 fitting["daq", "watchdog_s"] = longest_s
-            if fitting:
-                file.write_text(with_values(text, fitting), encoding="utf-8")
-                experiment, _ = preflight.check(file)
+            file.write_text(with_values(text, fitting), encoding="utf-8")
+            experiment, _ = preflight.check(file)
     except ConfigError as error:
         fail_config(
             error,
@@ -309,7 +310,20 @@ def _chosen(what: str, given: str | None, words: dict[str, str], default: str | 
     click.echo(f"{what}:")
     for name, meaning in words.items():
         click.echo(f"  {name:{width}}  {meaning}")
-    return str(click.prompt(what, default, type=click.Choice(list(words)), show_choices=False))
+    return str(_answer(what, default, click.Choice(list(words))))
+
+
+def _answer(what: str, default: float | str | None, kind: click.ParamType[Any]) -> Any:
+    """As answered; an empty answer is the default, and where there is none it is said so."""
+
+    def converted(answer: Any) -> Any:
+        if answer == "":
+            raise click.UsageError("this has no default: type what your bench has")
+        return kind.convert(answer, None, None)
+
+    return click.prompt(
+        what, "" if default is None else default, value_proc=converted, show_default=default is not None
+    )
 
 
 def _asked(what: str, default: str, asks: bool) -> str:
@@ -335,7 +349,7 @@ def _number(
         return default
     trial = possible(name)
     while True:
-        answer: Any = click.prompt(what, default=default, type=type(getattr(trial, name)))
+        answer = _answer(what, default, click.INT if isinstance(getattr(trial, name), int) else click.FLOAT)
         try:
             replace(trial, **{name: answer})
         except new_bench.AnswerError as error:

@@ -15,9 +15,11 @@ from rig.config import ready
 from rig.config.bridges import BRIDGES, COASTS, RUNS_FREE, BridgeModule
 from rig.config.edit import Value, with_values
 from rig.config.problems import Path
+from rig.config.schema import GainSearchSection
 from rig.core.errors import CauseError
 
 _EXAMPLE_HARD_RAD: Final = 1.6  # limits.hard_rad of the examples: their limits, speed and amplitudes go with it
+_EXAMPLE_SUPPLY_V: Final = 12.0  # drive.supply_V of the examples, whose search begins with less than such a friction
 _MARGIN_RAD: Final = 0.2  # from the hard limits to the mechanical stops
 _POTENTIOMETER_RAD: Final = math.radians(270.0)  # electrical travel of a usual one
 _LARGEST_TRAVEL_DEG: Final = 125.0  # to each side: what that potentiometer shows without its ends
@@ -29,6 +31,7 @@ _LEAST_COUNTS: Final = 400.0  # of an encoder, for a turn of the measured shaft
 _MOTION_RAD: Final = 0.025  # breakaway.motion_rad of the examples
 _MOTION_COUNTS: Final = 4.0  # of an encoder, that it is at least
 _LEAST_TURNS: Final = 2.0
+_SLOW_SHARE: Final = 0.8  # of what the bridge can give: drive.max_V of a motor that is slow even with that
 _LEAST_MOST_V: Final = 3.0  # drive.max_V, and relay.search.h_max_V where it is left out
 LEAST_CYCLE_COUNTS: Final = 34.0  # of the sensor: the second test's are 0.7 of them less 15 %, and need 20
 
@@ -68,7 +71,7 @@ LIMITS: Final = {
     "none": "it turns without end: a person must be able to reach the e-stop",
 }
 TESTS: Final = {
-    "full": "limit cycles at two pairs of gains, recorded and identified by each method: about a minute",
+    "full": "limit cycles at two pairs of gains, recorded and identified by each method: two minutes, or four if slow",
     "quick": "tests that rig designs, until tau, K and f_c are known: some seconds; no limit cycle is recorded",
 }
 
@@ -203,8 +206,10 @@ def text(answers: Answers, file: str) -> str:
     count_rad = calibrated_rad / counts if answers.sensor == "potentiometer" else 2.0 * math.pi / answers.counts
     seen_rad = math.ceil(100.0 * LEAST_CYCLE_COUNTS * count_rad) / 100.0
     full_V = answers.supply_V
-    most_V = round(min(max(_LEAST_MOST_V, full_V / 4.0), 0.5 * (full_V - module.drop_V)), 1)
     top_rad_s = math.ceil(answers.no_load_rpm * math.pi / 30.0 * 10.0) / 10.0
+    max_rad_s = math.floor(45.0 * size) / 10.0
+    slow_V = min(full_V * max_rad_s / top_rad_s, _SLOW_SHARE * (full_V - module.drop_V))  # no faster with it
+    most_V = round(max(min(max(_LEAST_MOST_V, full_V / 4.0), 0.5 * (full_V - module.drop_V)), slow_V), 1)
     values: dict[Path, Value] = {
         ("name",): _name_of(file),
         ("daq", "port"): answers.port,
@@ -217,19 +222,27 @@ def text(answers: Answers, file: str) -> str:
         ("motor", "no_load_speed_rad_s"): top_rad_s,
         ("limits", "soft_rad"): [-soft_rad, soft_rad],
         ("limits", "hard_rad"): [-hard_rad, hard_rad],
-        ("limits", "max_speed_rad_s"): math.floor(45.0 * size) / 10.0,
+        ("limits", "max_speed_rad_s"): max_rad_s,
         ("relay", "target"): {"amplitude_rad": round(max(0.45 * size, seen_rad), 2), "period_s": 1.6},
         ("tracking", "trajectory"): [
             {"amplitude_rad": round(share * size, 2), "omega_rad_s": omega} for share, omega in ((0.4, 1.5), (0.2, 3.1))
         ],
     }
+    search: dict[str, float] = {}
+    if full_V < _EXAMPLE_SUPPLY_V:  # an h1 above friction makes no cycle
+        for key in ("h1_start_V", "h2_start_V", "h2_step_V"):
+            search[key] = round(getattr(GainSearchSection(), key) * full_V / _EXAMPLE_SUPPLY_V, 3)
     if most_V > _LEAST_MOST_V:
-        values["relay", "search"] = {"h_max_V": most_V}
+        search["h_max_V"] = most_V
+    if search:
+        values["relay", "search"] = search
     if answers.usb_serial:  # of this bench's board: another one at the port is refused
         values["daq", "usb_serial"] = answers.usb_serial
-    new = with_values(ready.text(board.example), values)
+    new = ready.text(board.example)
     if answers.tests == "quick":
         new = _until_known(new)
+        del values["relay", "target"]
+    new = with_values(new, values)
     if answers.sensor == "encoder":
         new = _with_encoder(new, answers)
     if not has_stops:

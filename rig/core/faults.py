@@ -396,6 +396,12 @@ def since_the_last_run(code: str) -> str:
     return f"{_SINCE_THE_LAST_RUN.get(code, FAULTS[code].cause)} since the last run: the device had latched {code}"
 
 
+IN_A_REHEARSAL = (
+    "nothing is wired in a rehearsal: the config's numbers do not suit the made-up motor; change these, or give your "
+    "motor's by the options of `rig rehearse`. On a bench: "
+)
+
+
 class Fault(RigError):
     """A latched fault: code, cause, cure, and what was seen here.
 
@@ -411,9 +417,9 @@ class Fault(RigError):
         self.detail = detail = plain(detail)
         super().__init__(f"{code}: {entry.cause}" + (f" ({detail})" if detail else ""))
 
-    def fit(self, driver: str) -> None:
-        """Have the cure say nothing of devices of other drivers."""
-        self.cure = FAULTS[self.code].cure_with(driver)
+    def fit(self, driver: str, is_rehearsal: bool = False) -> None:
+        """Have the cure say nothing of devices of other drivers, and first what can be done in a rehearsal."""
+        self.cure = (IN_A_REHEARSAL if is_rehearsal else "") + FAULTS[self.code].cure_with(driver)
 
     def as_dict(self) -> dict[str, str]:
         """The fault as ``events.jsonl`` and ``result.json`` hold it."""

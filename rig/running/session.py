@@ -313,7 +313,7 @@ def _run_script(script: Script, session: Session, on_start: OnStart | None) -> F
         session.loop.check_stop()
     except Fault as seen:
         fault = seen
-        fault.fit(session.experiment.daq.driver)
+        fault.fit(session.experiment.daq.driver, is_rehearsal=bool(session.meta.rehearsal))
         if text := traceback_of(seen):
             session.note("traceback", text=text[-2000:])
     except IdentifyError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 from pathlib import Path
@@ -73,6 +74,26 @@ def test_a_slow_motor_or_a_high_supply_gets_swings_that_a_rehearsal_can_make(
         file.unlink()
 
 
+@pytest.mark.parametrize(
+    ("rpm", "bridge", "supply_V"),
+    [(8, "l298n", 12), *evidence((20, "tb6612", 5), (20, "drv8871", 12)), (600, "tb6612", 5)],
+)
+def test_the_slowest_and_the_fastest_motor_of_a_low_supply_are_rehearsed_to_the_end(
+    tmp_path: Path, rpm: int, bridge: str, supply_V: int
+) -> None:
+    """NO_MOTION, NO_CYCLE, and refused by `rig check`: each of them was."""
+    file = tmp_path / "bench.yaml"
+    made = rig("init", file, "--yes", "--bridge", bridge, "--no-load-rpm", rpm, "--supply-V", supply_V)
+    assert made.exit_code == 0, made.output
+    text = file.read_text(encoding="utf-8").replace("cycles: 10", "cycles: 3")
+    file.write_text(text[: text.index("tracking:")], encoding="utf-8")
+    told = rig("rehearse", file, "--out", tmp_path / "runs")
+    assert told.exit_code == 0, told.output
+    (run,) = (tmp_path / "runs").iterdir()
+    answer = json.loads((run / "result.json").read_text(encoding="utf-8"))["answer"]
+    assert answer["tau_s"] == pytest.approx(0.1, rel=0.05)
+
+
 def test_somebody_who_answers_is_asked_for_the_rest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("click.testing._NamedTextIOWrapper.isatty", lambda self: True, raising=False)
@@ -95,9 +116,10 @@ def test_an_answer_that_cannot_be_is_asked_for_again(tmp_path: Path, monkeypatch
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("click.testing._NamedTextIOWrapper.isatty", lambda self: True, raising=False)
     answers = "arduino uno encoder tb6612 turns /dev/ttyACM3 volts 24 9 0 64 -1 50 1 20 nan 200 full"
-    told = CliRunner().invoke(main, ["init"], input=answers.replace(" ", "\n") + "\n")
+    told = CliRunner().invoke(main, ["init"], input="\n" + answers.replace(" ", "\n") + "\n")
     assert told.exit_code == 0, told.output
     for said in (
+        "this has no default",
         "'arduino' is not one of",
         "'volts' is not a valid",
         "a motor supply of 24 V is nothing for TB6612FNG",

@@ -106,6 +106,15 @@ def test_a_config_that_does_not_fit_is_refused_before_anything_runs(tmp_path: Pa
     assert refused.exit_code == 2 and "drive.supply_V" in refused.output
 
 
+def test_a_fault_of_a_rehearsal_speaks_of_the_config_before_it_speaks_of_wires(tmp_path: Path) -> None:
+    told = rig("rehearse", bench(tmp_path), "--friction-V", 1.3, "--out", tmp_path / "runs")
+    assert told.exit_code == 1 and "rig: NO_MOTION: " in told.stderr
+    assert "     nothing is wired in a rehearsal: the config's numbers do not suit" in told.stderr
+    (run,) = (tmp_path / "runs").iterdir()
+    (fault,) = json.loads((run / "result.json").read_text())["faults"]
+    assert fault["cure"].startswith("nothing is wired in a rehearsal")
+
+
 def test_emulate_of_a_config_without_a_motor_names_it(tmp_path: Path) -> None:
     path = bench(tmp_path)
     refused = rig("emulate", path)

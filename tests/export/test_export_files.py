@@ -195,7 +195,7 @@ def test_a_torn_folder_is_exported_as_far_as_it_is_there(run_folder: Path, tmp_p
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--to", "a.xlsx"], "a.xlsx: ends in none of .mat, .npz, .csv, .json"),
+        (["--to", "a.xlsx"], "a.xlsx: ends in none of .mat, .npz, .csv, .json, and is no tool"),
         (["--to", "a"], "a: ends in none of .mat, .npz, .csv, .json"),
         (["--to", "none/a.mat"], "none: is no folder"),
         (["--to", "folder.mat"], "folder.mat: is a folder"),

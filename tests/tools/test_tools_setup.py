@@ -54,7 +54,9 @@ def make(clone: Path, *words: str, **environment: str) -> subprocess.CompletedPr
 
 def test_the_demo_sets_up_what_rig_runs_on_and_runs_and_nothing_else(clone: Path) -> None:
     done = make(clone, "-n", "demo")
-    assert done.stdout.splitlines() == ["./tools/setup.sh running", ".venv/bin/rig run config/demo.yaml"], done.stderr
+    *ran, said = done.stdout.splitlines()
+    assert ran == ["./tools/setup.sh running", ".venv/bin/rig run config/demo.yaml"], done.stderr
+    assert said.startswith("echo ") and ". .venv/bin/activate" in said  # the demo's own lines say `rig`
 
 
 @pytest.mark.parametrize(

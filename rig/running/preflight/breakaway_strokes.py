@@ -32,6 +32,7 @@ _REPEATS = range(17)  # numbers of planned pairs at max_V to try, beside the fir
 _TOP_PAUSE_S = 0.5  # after each stroke of a pair that repeats max_V: their means are less noisy
 _FRICTION_STEPS = 24  # frictions at which the bound is computed
 _FINEST = 12  # halvings
+_LARGER = 1.05  # from one max_V to try to the next
 _ROUNDING = 1e-9
 
 
@@ -95,6 +96,24 @@ def has_strokes(e: Experiment, max_V: float) -> bool:
         _strokes_up_to(periods, e, max_V, watchdog_s) is not None
         for watchdog_s, periods in product(_check_watchdogs_s(e.device), _lengths(longest))
     )
+
+
+def fitting_max_V(e: Experiment, least_V: float) -> float:
+    """breakaway.max_V of a new config, V: its own, or less where that turns a fast shaft too far, ``least_V`` at least.
+
+    More, up to drive.max_V, where the longest strokes hardly move a slow one.
+    """
+    max_V = e.breakaway.max_V
+    while max_V > least_V and not has_strokes(e, max_V):
+        max_V = max(max_V / _LARGER, least_V)
+    while max_V < e.drive.max_V and (strokes := breakaway_strokes(e, max_V)) is not None:
+        if (
+            _moved_rad(e, strokes, max_V) > _CLEARLY * e.breakaway.motion_rad
+            or strokes.strokes_s[-1] < _LONGEST_STROKE_S - 0.5 * e.period_s
+        ):
+            break
+        max_V = min(max_V * _LARGER, e.drive.max_V)
+    return round(max_V - 0.005, 2) if max_V < e.breakaway.max_V else round(max_V, 2)
 
 
 def _further(e: Experiment, strokes: StrokePlan, max_V: float) -> int:

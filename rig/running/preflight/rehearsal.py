@@ -13,6 +13,7 @@ from rig.config.problems import ConfigError, Path, Problem, wrong
 from rig.config.schema import EmulatedMotor, Experiment
 from rig.config.yaml12 import Document
 from rig.core.errors import CauseError
+from rig.model.describing_function import Oscillation, RelayGains, gains_for
 from rig.run_folder.results import JsonObject
 from rig.running.preflight.rules import check
 
@@ -25,6 +26,8 @@ _BEYOND_HARD_RAD = 0.2  # from the hard limits to the mechanical stops: docs/rea
 _SLACK = 1.01  # the config's digits are rounded
 _OUT_OF_REACH = 1.1  # times drive.max_V: a describing function is only about right
 _IN_REACH = 0.8  # of drive.max_V, of a new config's swings: the motor may be slower than it says
+_STEP = 0.05  # of relay.search.h_max_V: that search's step
+_START = 0.7  # of the swing's own gains beyond friction: where the search for it begins
 _SLOWER, _SLOWEST = 1.05, 8.0  # from one try to the next; slower ones take too long
 
 
@@ -115,7 +118,7 @@ def swings_in_reach(e: Experiment) -> dict[Path, Value]:
     by = 1.0
     while True:
         swing = None if target is None else (max(target.amplitude_rad / by, least_rad), target.period_s * by)
-        swing_V = 0.0 if swing is None else _needed_V(gain, tau_s, friction_V, *swing)
+        swing_V = 0.0 if swing is None else sum(_gains_V(gain, tau_s, friction_V, *swing))
         speed_V = sum(s.amplitude_rad * s.omega_rad_s * (1.0 + tau_s * s.omega_rad_s / by) for s in sines) / gain
         if max(swing_V, friction_V + speed_V / by**2) <= _IN_REACH * e.drive.max_V or by > _SLOWEST:
             break
@@ -127,6 +130,14 @@ def swings_in_reach(e: Experiment) -> dict[Path, Value]:
         found["relay", "target"] = {
             "amplitude_rad": math.ceil(100.0 * swing[0]) / 100.0,
             "period_s": round(swing[1], 1),
+        }
+        h1_V, h2_V = _gains_V(gain, tau_s, friction_V, *swing)
+        found["relay", "search"] = {
+            "h1_start_V": round(_START * h1_V, 2),
+            "h2_start_V": round(friction_V + _START * (h2_V - friction_V), 2),
+            "h2_step_V": round(_STEP * e.relay.search.h_max_V, 2),
+            "h_max_V": e.relay.search.h_max_V,
+            "timeout_s": math.ceil(e.relay.search.timeout_s * by),
         }
     if sines:
         found["tracking", "trajectory"] = [
@@ -207,7 +218,7 @@ def _unfit(e: Experiment, motor: EmulatedMotor) -> Iterator[Problem]:
         )
     target = e.relay.target
     if target is not None:
-        needed_V = _needed_V(motor.K_rad_s_V, motor.tau_s, friction_V, target.amplitude_rad, target.period_s)
+        needed_V = sum(_gains_V(motor.K_rad_s_V, motor.tau_s, friction_V, target.amplitude_rad, target.period_s))
         if needed_V > _OUT_OF_REACH * e.drive.max_V:
             yield wrong(
                 "relay.target",
@@ -225,12 +236,9 @@ def _unfit(e: Experiment, motor: EmulatedMotor) -> Iterator[Problem]:
         )
 
 
-def _needed_V(K_rad_s_V: float, tau_s: float, friction_V: float, amplitude_rad: float, period_s: float) -> float:
-    """Both gains of the relay together, V, that swing the motor so, by the describing function (docs/theory.md 4)."""
-    omega_rad_s = 2.0 * math.pi / period_s
-    speed_V = 0.25 * math.pi * amplitude_rad * omega_rad_s / K_rad_s_V
-    h2_V, h1_V = speed_V + friction_V, speed_V * omega_rad_s * tau_s
-    return h1_V + h2_V
+def _gains_V(K_rad_s_V: float, tau_s: float, friction_V: float, amplitude_rad: float, period_s: float) -> RelayGains:
+    """The relay's gains that swing the motor so, by the describing function (docs/theory.md 4)."""
+    return gains_for(Oscillation(2.0 * math.pi / period_s, amplitude_rad), tau_s, K_rad_s_V, friction_V)
 
 
 def _option(name: str) -> str:
