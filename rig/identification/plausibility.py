@@ -48,6 +48,7 @@ JUMP = 0.25  # of the whole travel, in one sampling period: no motor moves that 
 # Of a motor that explains a test: its residual, of the spread of positions; its delay: half a period of a relay may
 # stand for a sign; and what its rows may differ by
 EXPLAINED, LATE_ROWS, STRIDE = 0.05, 2.5, 1.1
+COVERAGE = 2.0  # of noise that adds up
 SPIKE = 0.02  # of the whole travel: a spike differs from its neighbours by at least this,
 SPIKE_NOISES = 10.0  # and by so many standard deviations of the noise
 MOVED_NOISES = 8.0  # standard deviations of the noise: a larger change of position is motion,
@@ -387,7 +388,7 @@ def _explains(test: TimeSeries, motor: Estimate | None) -> bool:
     return (
         motor is not None
         and motor.is_motor
-        and motor.rms_rad <= EXPLAINED * float(np.std(test.y_rad))
+        and motor.rms_rad <= math.hypot(EXPLAINED * float(np.std(test.y_rad)), COVERAGE * test.strays_rad(len(test)))
         and not motor.delay_s > LATE_ROWS * test.period_s
     )
 

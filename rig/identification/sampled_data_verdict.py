@@ -15,7 +15,7 @@ from rig.identification.verdict import ROW_UP, in_percent, intervals, spread_rad
 from rig.model.motor import State
 from rig.model.sensitivity import Theta
 from rig.run_folder.recording.errors import IdentifyError
-from rig.run_folder.recording.series import TimeSeries, noise_of_all_rad, noise_of_whole_rad
+from rig.run_folder.recording.series import TimeSeries
 
 NOISY, TOO_NOISY = 3.0, 8.0  # residual over the sensor's noise
 REPEATED = 0.3  # share of the residual's power that repeats in each cycle
@@ -110,7 +110,7 @@ def _bounds(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
 
 
 def _unexplained(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
-    added_up = noise_of_whole_rad(tests) ** 2 - noise_of_all_rad(tests) ** 2
+    added_up = sum(test.strays_rad(len(test)) ** 2 for test in tests) / len(tests)
     share = math.sqrt(max(estimate.rms_rad**2 - added_up, 0.0)) / spread_rad(tests)
     if share > 0.5:
         return estimate.judged(
@@ -131,7 +131,7 @@ def _unexplained(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
 
 def _residual(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
     estimate = _unexplained(estimate, tests)
-    noise = noise_of_whole_rad(tests)
+    noise = math.sqrt(sum(test.noise_over_rad(len(test)) ** 2 for test in tests) / len(tests))
     share = estimate.rms_rad / spread_rad(tests)
     if share <= 0.5 and share > NEGLIGIBLE and estimate.rms_rad > NOISY * noise:
         ratio = estimate.rms_rad / noise if noise > 0.0 else math.inf

@@ -514,6 +514,24 @@ def test_noise_of_a_sampled_velocity_adds_up_and_is_no_law_of_the_motor(tmp_path
     assert not any("the sensor's noise" in reason for reason in found.answer.reasons)
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_a_quick_motor_bends_between_the_samples_of_its_velocity(noise: float, tmp_path: Path) -> None:
+    """Summed up as if it went straight, tau was 1.3 % off beside 5 without noise, 7 beside 17 with it."""
+    motor, period_s = RealMotor(0.02, 8.0, 0.5), 0.01
+    t_s = period_s * np.arange(1500)
+    u_V = np.repeat([6.0, -6.0, 3.0, -3.0, 4.5, -4.5] * 25, 10)
+    both_s = np.sort(np.concatenate((t_s, t_s + 1e-5)))
+    y_rad = response(motor, Frame(duration_s=15.1), (t_s + 0.004, u_V), both_s, Pieces.one())
+    v_rad_s = (y_rad[1::2] - y_rad[::2]) / 1e-5
+    v_rad_s += noise * np.abs(v_rad_s).max() * np.random.default_rng(7).standard_normal(v_rad_s.size)
+    log = tmp_path / "tacho.csv"
+    log.write_text("".join(f"{t:.3f},{u},{v:.5g}\n" for t, u, v in zip(t_s, u_V, v_rad_s, strict=True)))
+    found = identify(read_all(log, LogFormat(LogColumn("s"), LogColumn("V"), velocity=LogColumn("rad/s"))))
+    assert any("between the samples" in note for note in found.notes)
+    assert found.answer is not None and found.answer.verdict == "ok"
+    assert right(found.answer, motor, 0.002 if noise == 0.0 else 0.02, "tau_s", "K_rad_s_V")
+
+
 def test_noise_that_adds_up_is_not_white_and_a_law_of_a_sampled_velocity_must_show_in_blocks(tmp_path: Path) -> None:
     """A fit that left no more than such noise kept any law: friction of a gear, or a dead band with f_c 1.2 % off."""
     motor, random = RealMotor(0.331, 3.94, 1.34), np.random.default_rng(5)

@@ -317,7 +317,11 @@ class TimeSeries:
         Noise that adds up is a walk at random. Without its mean and its trend a walk of n steps of s has a variance of
         s^2 n/15, without its mean alone s^2 n/6: a motor's start is between them.
         """
-        return math.hypot(self.noise_rad(), self.walk_rad() * math.sqrt(0.1 * rows))
+        return math.hypot(self.noise_rad(), self.strays_rad(rows))
+
+    def strays_rad(self, rows: int) -> float:
+        """The same of noise that adds up alone."""
+        return self.walk_rad() * math.sqrt(0.1 * rows)
 
     def walk_rad(self) -> float:
         """By how much noise that adds up moves the position from row to row, RMS, rad; 0 where it does not."""
@@ -385,11 +389,6 @@ class Window:
 def noise_of_all_rad(tests: Sequence[TimeSeries]) -> float:
     """Root mean square of the white noise on their positions, rad; as ``TimeSeries.noise_rad``."""
     return math.sqrt(sum(test.noise_rad() ** 2 for test in tests) / len(tests))
-
-
-def noise_of_whole_rad(tests: Sequence[TimeSeries]) -> float:
-    """Root mean square of what noise leaves over their whole length, rad; as ``TimeSeries.noise_over_rad``."""
-    return math.sqrt(sum(test.noise_over_rad(len(test)) ** 2 for test in tests) / len(tests))
 
 
 def delays_of_all_s(tests: Sequence[TimeSeries]) -> tuple[float, float]:
