@@ -134,7 +134,12 @@ def free_between(tests: Sequence[TimeSeries]) -> Mapping[str, float]:
     return {"free_between": 0.8, "full_drive_V": max(float(np.abs(test.steps.u_V).max()) for test in tests)}
 
 
-def plain_in_pieces(tests: Sequence[TimeSeries], plain: Estimate, bridge: Mapping[str, float] = NOTHING) -> Fit:
+def plain_in_pieces(
+    tests: Sequence[TimeSeries],
+    plain: Estimate,
+    bridge: Mapping[str, float] = NOTHING,
+    iterations: int = PIECE_ITERATIONS,
+) -> Fit:
     """The plain motor, begun at ``plain``, on pieces of half a second.
 
     bridge   sizes of laws of a bridge that it stands behind, to begin with: where it does not brake, the plain tau is
@@ -155,7 +160,7 @@ def plain_in_pieces(tests: Sequence[TimeSeries], plain: Estimate, bridge: Mappin
     problem = Problem(cut, (*free, *sizes), limits, 1e-3 * cut.frames[0].half_travel_rad)
     if bridge:
         motor = motor._replace(tau_s=max(plain.tau_s, 4.0 * thin[0].period_s), **bridge)
-    return solve(begin(problem, motor), PIECE_ITERATIONS, ROUGHLY)
+    return solve(begin(problem, motor), iterations, ROUGHLY)
 
 
 def balanced(cut: Cut, length_s: float, free: Sequence[str], delay_s: float) -> RealMotor:
