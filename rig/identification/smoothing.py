@@ -42,7 +42,7 @@ LEAVES, SHOWS = 1.1, 1.03  # residual over the sensor's noise from which on a sm
 CUTS, NEARLY_ALL, PROMISING, SURE = 0.5, 0.1, 0.8, 20.0
 NOISY, TWICE = 3.0, 0.7  # residual over noise from which on two low passes are tried; residual over that with one
 LONGEST_S, TRIED, COARSE, FINER = 0.5, 8, 5, 16
-# Residual after so many iterations over the least that a change left, beyond which one is given up; not tried behind a bridge
+# Iterations, and residual then over the least that a change left, beyond which one is given up; or not tried at bridges
 FIRST, FAR = 3, 1.5
 TO_ITS_END = 20  # iterations of a motion that may be told without a filter
 EXPLAINS, NEAR = 0.01, 0.95  # residual over the spread of positions, at most; of the longest mean, or low pass
@@ -59,7 +59,8 @@ WAY_ROWS = range(1, 13)
 # By what is left with a filter this share larger or smaller its size is known: to KNOWN times the share that would make
 # the squares of what is left twice as large. In 11 made logs it was off by 0.95 of that share at most, in 10 by 0.42.
 BESIDE, KNOWN = 0.15, 0.6
-RUNS_FREE, NO_BRAKE, COAST_S = {"runs_free": 1.0}, {"no_brake": 1.0}, 0.1  # they are looked at beyond a share of the way in it
+RUNS_FREE, NO_BRAKE = {"runs_free": 1.0}, {"no_brake": 1.0}
+COAST_S = 0.1  # bridges are looked at beyond a share of the way in it
 
 
 class Smoothing(NamedTuple):
