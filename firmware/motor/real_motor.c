@@ -20,8 +20,8 @@ static const double STRETCH = sizeof(double) < 8u ? 4.0 : 1.0;
 static const double HUGE_POWER = sizeof(double) < 8u ? 80.0 : 700.0;
 /* Largest steps, so that a relay test of 20 s stays within 1e-6 rad of its exact motion. */
 static const double LONGEST_STEP = 2.0;     /* of tau, s/s: of longer ones rounding takes the weights, and events are far */
-static const double CURVED_STEP = 0.05;     /* of tau, s/s; a drag, a bridge, a Stribeck effect, which grows beyond standstill */
-static const double STEP_OF_TAU = sizeof(double) < 8u ? 0.05 : 0.1; /* s/s; any other part that changes the right side */
+static const double CURVED_STEP = sizeof(double) < 8u ? 0.05 : 0.07; /* of tau, s/s; drag, bridge, Stribeck effect (it grows at rest) */
+static const double STEP_OF_TAU = sizeof(double) < 8u ? 0.05 : 0.2; /* s/s; any other part that changes the right side */
 static const double SHORT_LAG_S = 1e-3;     /* of a shorter lag the derivative would suffer before the motion does */
 static const double STEP_OF_LAG = 0.065;    /* s/s, at 1 V s of fading drive times its time constant; longer the less there is */
 static const double STEP_OF_TURN = 0.15;    /* rad of the phase of a force over position */

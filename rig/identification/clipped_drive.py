@@ -96,7 +96,7 @@ def _slower(test: TimeSeries, than_rad_s: float) -> Iterator[TimeSeries]:
 
 
 def _best(from_rad_s: float, largest_V: float, tests: Sequence[TimeSeries], plain: Estimate) -> tuple[Limit, float]:
-    """The best limit from this speed on, and its residual, rad; inf where that of a supply does not show."""
+    """The best limit from this speed on, and its residual, rad; inf where it does not show."""
 
     def left(limit_V: float) -> float:
         return _with(Limit(limit_V, from_rad_s), tests, plain)
@@ -104,7 +104,7 @@ def _best(from_rad_s: float, largest_V: float, tests: Sequence[TimeSeries], plai
     limits_V = [share * largest_V for share in (FIRST_BY_SPEED if from_rad_s else FIRST)]
     found = list(map(left, limits_V))
     best = int(np.argmin(found))
-    if not from_rad_s and found[best] > SHOWS * found[0]:
+    if found[best] > SHOWS * found[0] and (best or not from_rad_s):  # one by speed may cut off less than the first
         return Limit(), math.inf
     steps = FINER_BY_SPEED if from_rad_s else FINER
     limit_V, rad = lowest(left, limits_V[min(best + 1, len(limits_V) - 1)], limits_V[max(best - 1, 0)], steps)

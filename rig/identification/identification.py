@@ -20,6 +20,7 @@ from rig.identification.drive_scale import OF_FILTER, by_filter, by_own_loop, by
 from rig.identification.estimate import VERDICTS, Estimate
 from rig.identification.estimator import Estimator
 from rig.identification.friction_map import FrictionMap, friction_map
+from rig.identification.in_pieces import is_reversed
 from rig.identification.known_model import model_of
 from rig.identification.least_squares import METHOD as FRICTION_METHOD
 from rig.identification.least_squares import Transient
@@ -317,6 +318,8 @@ def _takes_change(data: Measurements, estimate: Estimate | None) -> bool:
     if estimate is None or any(test.stage is not None for test in data.tests):
         return False
     try:
+        if estimate.spoiled and is_reversed(data.tests):
+            return False
         limit = limit_of(data.tests, estimate)
         bent, rad = with_bends(data.tests, estimate)
         smoothed = smoothings(data.tests, estimate, rad) if math.isinf(limit.drive_V) else []

@@ -51,6 +51,7 @@ SMALLEST_NOISE = 1e-6  # of half the travel: a record without noise
 LONGEST_TAU_S = 3.0
 STRETCHES_S = (0.04, 0.12)
 FEWEST_STRETCHES = 12  # of a series: twice the numbers of the balance
+BALANCED = 0.5  # share of a drive's variance that its motion leaves, at most, where its sign is wrong
 AT_REST = 0.05  # of the largest speed: friction at rest balances anything
 POOR = 0.25  # error in blocks from which on the plain motor's numbers mean nothing, and a load is tried with it
 LOADED = 0.75  # error with the load over that without it, at most
@@ -146,6 +147,7 @@ def plain_in_pieces(
     plain: Estimate,
     bridge: Mapping[str, float] = NOTHING,
     walks: Sequence[TimeSeries] = (),
+    iterations: int = PIECE_ITERATIONS,
 ) -> Fit:
     """The plain motor, begun at ``plain``, on pieces of half a second.
 
@@ -169,7 +171,7 @@ def plain_in_pieces(
     problem = Problem(cut, (*free, *sizes), limits, sigma, noise=noise_of_sensor(walks, sigma))
     if bridge:
         motor = motor._replace(tau_s=max(plain.tau_s, 4.0 * thin[0].period_s), **bridge)
-    return solve(begin(problem, motor), PIECE_ITERATIONS, ROUGHLY)
+    return solve(begin(problem, motor), iterations, ROUGHLY)
 
 
 def balanced(cut: Cut, length_s: float, free: Sequence[str], delay_s: float) -> RealMotor:
@@ -181,20 +183,37 @@ def balanced(cut: Cut, length_s: float, free: Sequence[str], delay_s: float) -> 
     Linear least squares of the inverse model (Gautier and Khalil, IEEE Int. Conf. Robotics and Automation, 1988): it
     needs no start, and it is one. Its numbers carry what noise does to an acceleration.
     """
-    each = [_stretches(window, frame, length_s, delay_s) for window, frame in zip(cut.windows, cut.frames, strict=True)]
-    table, u_V = np.concatenate([columns for columns, _ in each]), np.concatenate([drives for _, drives in each])
+    table, u_V = _all_stretches(cut, length_s, delay_s)
     speeds, largest_V = np.abs(table[:, 0]), max(float(np.abs(u_V).max()), 1e-9)
-    moves = speeds >= AT_REST * float(speeds.max())
     names = ("by_speed", "by_curve", "fc_V", "bias_V", *FORCE)
     used = [k for k, name in enumerate(names) if k < 3 or name in free]
     least = np.array([1e-3 * largest_V / max(float(speeds.max()), 1e-9), 0.0, 0.0, -np.inf, -np.inf, -np.inf])[used]
-    table = table[moves][:, used]
+    table = table[:, used]
     scale = np.maximum(np.linalg.norm(table, axis=0), 1e-12)
-    found = _no_less(table / scale, u_V[moves], least * scale) / scale
+    found = _no_less(table / scale, u_V, least * scale) / scale
     by_speed, by_curve, *rest = found.tolist()
     tau_s = max(by_curve / by_speed, 2.0 * min(window.period_s for window in cut.windows))
     numbers = dict(zip((names[k] for k in used[2:]), rest, strict=True))
     return RealMotor(tau_s, 1.0 / by_speed, 0.0, 0.0, delay_s)._replace(**numbers)
+
+
+def is_reversed(tests: Sequence[TimeSeries]) -> bool:
+    """Whether the drive of the tests has the wrong sign: speed and acceleration both go against it, and explain it.
+
+    Behind a filter the speed of a quick swing goes against it, too; but then the acceleration goes along.
+    """
+    table, u_V = _all_stretches(Cut.whole(tests, 0.0), STRETCHES_S[1], 0.0)
+    found = np.linalg.lstsq(table, u_V, rcond=None)[0]
+    left = float(np.var(u_V - table @ found))
+    return bool(found[0] < 0.0 and found[1] < 0.0 and left < BALANCED * float(np.var(u_V)))
+
+
+def _all_stretches(cut: Cut, length_s: float, delay_s: float) -> tuple[Array, Array]:
+    """``_stretches`` of all series, of those in which the shaft moves."""
+    each = [_stretches(window, frame, length_s, delay_s) for window, frame in zip(cut.windows, cut.frames, strict=True)]
+    table, u_V = np.concatenate([columns for columns, _ in each]), np.concatenate([drives for _, drives in each])
+    moves = np.abs(table[:, 0]) >= AT_REST * float(np.abs(table[:, 0]).max())
+    return table[moves], u_V[moves]
 
 
 def _stretches(window: Window, frame: Frame, length_s: float, delay_s: float) -> tuple[Array, Array]:

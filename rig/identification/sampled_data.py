@@ -20,7 +20,7 @@ from rig.identification.departures.fit import Enough
 from rig.identification.driven import together
 from rig.identification.estimate import Estimate, intervals
 from rig.identification.estimator import Estimator
-from rig.identification.in_pieces import MOST_ROWS, error_of, fit_in_pieces, of_pieces
+from rig.identification.in_pieces import MOST_ROWS, error_of, fit_in_pieces, is_reversed, of_pieces
 from rig.identification.measurements import Measurements
 from rig.identification.output_error import (
     ENOUGH,
@@ -236,6 +236,8 @@ def nearest(tests: Sequence[TimeSeries], starts: Sequence[Start] | None, periods
     rows = math.ceil(sum(len(test) for test in tests) / MOST_ROWS)
     thin = [thinned(test, rows) for test in tests]
     try:
+        if is_reversed(thin):
+            return white.estimate  # no pieces mend it
         pieces, blocks = fit_in_pieces(thin, free_delay=free)
     except IdentifyError:
         return white.estimate  # too short for pieces

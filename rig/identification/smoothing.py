@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from rig.identification.departures.departure import NOTHING
 from rig.identification.departures.fit import Fit, solve
 from rig.identification.estimate import Estimate
-from rig.identification.in_pieces import DEAD_BAND, PIECE_S, free_between, plain_in_pieces
+from rig.identification.in_pieces import DEAD_BAND, PIECE_ITERATIONS, PIECE_S, ROUGHLY, free_between, plain_in_pieces
 from rig.identification.lowest import lowest
 from rig.identification.plausibility import divides_a_turn
 from rig.identification.preprocessing import unfiltered
@@ -42,6 +42,8 @@ LEAVES, SHOWS = 1.1, 1.03  # residual over the sensor's noise from which on a sm
 CUTS, NEARLY_ALL, PROMISING, SURE = 0.5, 0.1, 0.8, 20.0
 NOISY, TWICE = 3.0, 0.7  # residual over noise from which on two low passes are tried; residual over that with one
 LONGEST_S, TRIED, COARSE, FINER = 0.5, 8, 5, 16
+# Iterations, and residual then over the least that a change left, beyond which one is given up; or not tried at bridges
+FIRST, FAR = 3, 1.5
 TO_ITS_END = 20  # iterations of a motion that may be told without a filter
 EXPLAINS, NEAR = 0.01, 0.95  # residual over the spread of positions, at most; of the longest mean, or low pass
 MEAN_OF_ROW = 0.75  # of a period: so short a filter is no filter, but how velocities are summed
@@ -57,7 +59,8 @@ WAY_ROWS = range(1, 13)
 # By what is left with a filter this share larger or smaller its size is known: to KNOWN times the share that would make
 # the squares of what is left twice as large. In 11 made logs it was off by 0.95 of that share at most, in 10 by 0.42.
 BESIDE, KNOWN = 0.15, 0.6
-NO_BRAKES, COAST_S = ({"runs_free": 1.0}, {"no_brake": 1.0}), 0.1  # they are looked at beyond a share of the way in it
+RUNS_FREE, NO_BRAKE = {"runs_free": 1.0}, {"no_brake": 1.0}
+COAST_S = 0.1  # bridges are looked at beyond a share of the way in it
 
 
 class Smoothing(NamedTuple):
@@ -174,11 +177,12 @@ def smoothing(tests: Sequence[TimeSeries], plain: Estimate, otherwise_rad: float
     noise_rad = math.sqrt(sum(one**2 for one in over) / len(over))
     if not plain.is_motor or plain.rms_rad < LEAVES * noise_rad or any(test.t_u_s is not None for test in tests):
         return None
-    rad, found = _behind(NOTHING, tests, plain, noise_rad)
+    tried: dict[Smoothing, float] = {}
+    rad, found = _behind(NOTHING, tests, plain, noise_rad, tried)
     ways_rad = [float(np.std(np.diff(test.y_rad))) * COAST_S / test.period_s for test in tests]
     for bridge in _bridges(tests, plain) if rad > EXPLAINS * max(ways_rad) else ():
         if rad > NOISY * noise_rad:
-            other_rad, other = _behind(bridge, tests, plain, noise_rad)
+            other_rad, other = _behind(bridge, tests, plain, noise_rad, tried)
             is_told = other is None or other.left != 1.0
             rad, found = (other_rad, other) if is_told and other_rad < CUTS * rad else (rad, found)
     return found if rad < otherwise_rad else None
@@ -186,25 +190,36 @@ def smoothing(tests: Sequence[TimeSeries], plain: Estimate, otherwise_rad: float
 
 def _bridges(tests: Sequence[TimeSeries], plain: Estimate) -> Iterator[Mapping[str, float]]:
     """Bridges that do not brake; one that lets the motor run free between its pulses only where it explains more."""
-    yield from NO_BRAKES
+    if any(np.any(test.steps.u_V == 0.0) for test in tests):
+        yield RUNS_FREE
+    yield NO_BRAKE
     free = free_between(tests)
     if plain_in_pieces(tests, plain, free).rms_rad < PROMISING * plain_in_pieces(tests, plain).rms_rad:
         yield free
 
 
 def _behind(
-    bridge: Mapping[str, float], tests: Sequence[TimeSeries], plain: Estimate, noise_rad: float
+    bridge: Mapping[str, float],
+    tests: Sequence[TimeSeries],
+    plain: Estimate,
+    noise_rad: float,
+    tried: dict[Smoothing, float],
 ) -> tuple[float, Smoothing | None]:
-    """What the plain motor behind a bridge leaves, rad, and how a column was smoothed, as ``smoothing``."""
+    """What the plain motor behind a bridge leaves, rad, and how a column was smoothed, as ``smoothing``.
+
+    tried   what each change that was tried first left behind a bridge that brakes, rad; empty: this is that one
+    """
     period_s = max(test.period_s for test in tests)
     motors: dict[Smoothing, RealMotor] = {}
 
     @cache
-    def left(one: Smoothing) -> float:
+    def left(one: Smoothing, most_rad: float = math.inf) -> float:
         undone = [one.undone(test) for test in tests]
         if any(float(np.mean(np.abs(test.u_V) > OVER * test.most_V)) > RARE for test in undone):
             return math.inf  # no bridge gave that
-        fit = plain_in_pieces(undone, plain, bridge)
+        fit = plain_in_pieces(undone, plain, bridge, FIRST if math.isfinite(most_rad) else PIECE_ITERATIONS)
+        if math.isfinite(most_rad) and not fit.arrived and one.left_rad(fit) < most_rad:
+            fit = solve(fit, PIECE_ITERATIONS - FIRST, ROUGHLY)
         motors[one] = fit.motor
         return one.left_rad(fit)
 
@@ -216,11 +231,16 @@ def _behind(
     without = min(plain_in_pieces(tests, plain, bridge).rms_rad, plain.rms_rad)
     if without < SHOWS * noise_rad:
         return without, None  # over pieces the plain motor leaves no more than noise
-    tried = {one: left(one) for one in _first(tests, period_s)}
-    best = first = min(tried, key=lambda one: tried[one], default=None)
-    if first is None or best is None or beyond(tried[first]) > PROMISING**2 * beyond(without):
+    near_rad = FAR * min(tried.values(), default=math.inf)
+    every = [one for one in _first(tests, period_s) if tried.get(one, 0.0) < near_rad]
+    each: dict[Smoothing, float] = {}
+    for one in every:
+        each[one] = left(one, FAR * min(each.values(), default=math.inf))
+    tried.update({} if tried else each)
+    best = first = min(each, key=lambda one: each[one], default=None)
+    if first is None or best is None or beyond(each[first]) > PROMISING**2 * beyond(without):
         return without, None
-    found = {first: tried[first]}
+    found = {first: each[first]}
 
     def refine(one: Smoothing, wide: float, longest_s: float, steps: int) -> None:
         low_s, high_s = one.size_s / wide, min(one.size_s * wide, longest_s)
@@ -229,9 +249,9 @@ def _behind(
 
     for steps in (COARSE, FINER):
         for order, wide, longest_s in ((1, _apart(period_s), LONGEST_S), (MEAN, 2.0, MOST_ROWS * period_s)):
-            ours = [one for one in tried if (one.column, one.order) == (first.column, order) and tried[one] < without]
+            ours = [one for one in each if (one.column, one.order) == (first.column, order) and each[one] < without]
             if ours:
-                refine(min(ours, key=lambda one: tried[one]), wide, longest_s, steps)
+                refine(min(ours, key=lambda one: each[one]), wide, longest_s, steps)
         once = min((one for one in found if one.order == 1), key=lambda one: found[one], default=first)
         if once.order == 1 and found[once] > NOISY * noise_rad:
             twice = Smoothing(once.column, 0.5 * once.size_s, 2)  # late by as much as one, and they round off more

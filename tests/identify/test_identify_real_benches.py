@@ -26,7 +26,7 @@ from rig.identification.departures.profile import profiles
 from rig.identification.drive_scale import by_filter, by_steps, drive_step_V
 from rig.identification.estimate import Estimate
 from rig.identification.identification import Identification
-from rig.identification.in_pieces import fit_in_pieces
+from rig.identification.in_pieces import fit_in_pieces, is_reversed
 from rig.identification.model_error import (
     BENDS,
     DRIVES,
@@ -232,6 +232,21 @@ def test_no_count_is_a_mean_and_no_drive_was_more_than_the_bench_gives() -> None
     for columns, bench in (((t_s, u_V, mean_rad), {"reads": "counter"}), ((t_s, slow_V, y_rad), {"most_V": 5.0})):
         found = identify([replace(from_columns(Path("log.csv"), *columns), **bench)])
         assert not any("undone" in change for change in found.changes), found.changes
+
+
+def test_a_drive_of_the_wrong_sign_is_told_from_a_reading_that_lags_and_from_a_load() -> None:
+    """Either can make the shaft turn against its drive. A reversed log took up to 18 s before it was refused."""
+    t_s, _, _ = recorded(MOTOR, (3.0,))
+    u_V = 4.0 * np.sin(12.0 * t_s) + 2.0 * np.sin(19.0 * t_s)
+    frame, starts = Frame(duration_s=float(t_s[-1])), Pieces.one()
+    y_rad = response(MOTOR, frame, (t_s, u_V), t_s, starts)
+    lags = filtered([1.0 - math.exp(-PERIOD_S / 0.3)], [-math.exp(-PERIOD_S / 0.3)], y_rad[:, None])[:, 0]
+    hangs = response(MOTOR._replace(force_sin_V=5.0), frame, (t_s, u_V), t_s, starts)
+    assert float(u_V[:-1] @ np.diff(lags)) < 0.0
+    for y in (y_rad, lags, hangs):
+        assert not is_reversed([TimeSeries(t_s, y, None, u_V)])
+    for y in (y_rad, hangs):
+        assert is_reversed([TimeSeries(t_s, y, None, -u_V)])
 
 
 def test_of_two_files_the_one_that_was_smoothed_is_undone() -> None:

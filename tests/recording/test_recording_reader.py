@@ -208,6 +208,19 @@ def test_a_run_without_meta_and_with_a_torn_event_is_read(tmp_path: Path) -> Non
     assert run.notes == ("meta.json is missing", "events.jsonl: line 2, the last, is torn and was left out (10 bytes)")
 
 
+@pytest.mark.parametrize(("end", "name"), [('"order"', "demo"), ('"emulated"', "demo"), ('"name"', "")])
+def test_a_meta_json_that_ends_early_is_read_as_far_as_its_keys_are_whole(tmp_path: Path, end: str, name: str) -> None:
+    (tmp_path / "samples.csv").write_text(run_text(6))
+    whole = '{\n  "schema": 1,\n  "name": "demo",\n  "host": {\n    "os": "x"\n  },\n  "emulated": true,\n'
+    whole += '  "order": "a"\n}\n'
+    (tmp_path / "meta.json").write_text(whole[: whole.index(end) + 5])
+    run = read_run(tmp_path)
+    assert run.meta.name == name
+    assert "meta.json: ends early; rig reads what is there" in run.notes
+    with pytest.raises(RecordingError, match="is broken JSON"):
+        read_run(tmp_path, strict=True)
+
+
 # -- what is refused --------------------------------------------------------------------------------------------------
 
 ROWS = "0,1,0.1\n1,1,0.2\n2,1,0.3\n"

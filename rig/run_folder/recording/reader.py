@@ -6,6 +6,7 @@ file, no link, of a bounded size, in strict JSON (``strict_json``) of bounded de
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 from collections.abc import Sequence
@@ -89,7 +90,7 @@ def read_run(folder: Path, known: Recording | None = None, *, strict: bool = Fal
     if not is_folder(folder) or not (folder / SAMPLES).exists():
         raise no_run(folder)
     recording = read_csv(folder / SAMPLES, own=True, known=known)
-    meta, meta_notes = _read_part(folder / META, RunMeta, strict=strict)
+    meta, meta_notes = _read_part(folder / META, RunMeta, strict=strict, may_end=not strict)
     config_text = read_config_text(folder)
     events, event_notes = read_events(folder, strict=strict)
     notes = (*recording.notes, *([f"{META} is missing"] if meta is None else meta_notes), *event_notes)
@@ -169,12 +170,19 @@ def is_there(path: Path) -> bool:
     return os.path.lexists(path)
 
 
-def _read_part(path: Path, kind: type[_File], *, strict: bool) -> tuple[_File | None, list[str]]:
-    """The content of a JSON file, None without the file; and notes on it."""
+def _read_part(path: Path, kind: type[_File], *, strict: bool, may_end: bool = False) -> tuple[_File | None, list[str]]:
+    """The content of a JSON file, None without the file; and notes on it. ``may_end``: it may end early."""
     if not is_there(path):
         return None, []
-    part, left_out = _salvaged(path, kind, read_object(path), None, strict=strict)
-    notes = [f"{words}; rig leaves it out" for words in left_out] + remarks(part)
+    try:
+        value, ends_early = read_object(path), []
+    except RecordingError:
+        begun = _begun_object(path) if may_end else None
+        if begun is None:
+            raise
+        value, ends_early = begun, ["ends early; rig reads what is there"]
+    part, left_out = _salvaged(path, kind, value, None, strict=strict)
+    notes = ends_early + [f"{words}; rig leaves it out" for words in left_out] + remarks(part)
     return part, [f"{path.name}: {note}" for note in notes]
 
 
@@ -184,6 +192,16 @@ def _salvaged(path: Path, kind: type[_P], value: JsonObject, line: int | None, *
     if strict and left_out:
         raise RecordingError(path, left_out[0], "correct it, or take that key out of the file", line)
     return part, left_out
+
+
+def _begun_object(path: Path) -> JsonObject | None:
+    """The whole keys of an object whose file ends early; None where that is not what is wrong with it."""
+    text = text_of(path, content_of(path, MOST_BYTES, own=True)).rstrip()
+    while text.count("{") > text.count("}"):
+        text = text.rpartition(",\n")[0]
+        with contextlib.suppress(RecordingError):
+            return _parse_object(path, text + "}", None)
+    return None
 
 
 def _parse_object(path: Path, text: str, line: int | None) -> JsonObject:
