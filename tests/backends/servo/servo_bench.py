@@ -74,7 +74,7 @@ class Bench:
     def another(self) -> ServoDriver:
         """A driver as of a command that follows: on the same bus, with the same file of values."""
         daq = self.e.daq
-        timeouts = Timeouts(daq.timeout_s, 0.2, self.e.period_s)
+        timeouts = Timeouts(daq.timeout_s, 0.2, max(self.e.period_s, PERIOD_S))
         self.bus._is_plugged = True  # the command before has closed its port
         self.driver = ServoDriver(self.bus, self.setup, daq.baud, self.e.device.scaling, timeouts, self.store)
         return self.driver
