@@ -135,7 +135,7 @@ class BeforeStore:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with fresh.open("w", encoding="utf-8") as file:
-                json.dump({"model": model.name, "id": id, "registers": self._values, "set": dict(sets)}, file)
+                file.write(_text_of(model, id, values, sets))
                 file.flush()
                 os.fsync(file.fileno())
             fresh.replace(self.path)
@@ -160,6 +160,10 @@ class BeforeStore:
         if self.path is not None:
             with contextlib.suppress(OSError):
                 self.path.unlink(missing_ok=True)
+
+
+def _text_of(model: ServoModel, id: int, values: Mapping[str, int], sets: Sets) -> str:
+    return json.dumps({"model": model.name, "id": id, "registers": dict(values), "set": dict(sets)})
 
 
 def state_folder() -> Path:
@@ -264,3 +268,16 @@ def order_of(link: ServoLink, values: Mapping[str, int]) -> list[Ask]:
         asks.append(link.write_of(roles["watchdog"], 0))
     asks += [link.write_of(name, values[name]) for name in _CHANGED[model.protocol] if name in values]
     return [*asks, link.write_of(roles["torque"], 0)]
+
+
+def mark_of(link: ServoLink, values: Mapping[str, int], sets: Sets) -> tuple[int, str]:
+    """Ahead of which of these instructions the file must say that all but the mode is back, and what it holds then.
+
+    Once the mode is back nothing tells that rig has changed what that sets anew, as ``put_back`` knows.
+    """
+    model, mode = link.model, link.model.roles["mode"]
+    names = [name for name in _CHANGED[model.protocol] if name in values]
+    if mode not in names or names[-1] not in _RESET_BY_MODE:
+        return -1, ""
+    ahead = 1 + ("watchdog" in model.roles)
+    return ahead + names.index(mode), _text_of(model, link.bus.id, values, {mode: sets.get(mode, ())})

@@ -10,9 +10,9 @@ import subprocess
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from rig.backends.servo.before import BeforeStore, order_of
+from rig.backends.servo.before import BeforeStore, mark_of, order_of
 from rig.backends.servo.bus import Ask, ServoLink
 from rig.core.copies import keep_from_copies, no_longer_own
 from rig.core.faults import Fault
@@ -98,11 +98,16 @@ class ServoKeeper:
             raise Fault("SERVO_UNWATCHED", error.detail if isinstance(error, Fault) else str(error)) from error
 
     @staticmethod
-    def orders(link: ServoLink, store: BeforeStore) -> dict[str, list[tuple[str, str]]]:
-        """What it writes to stop the servo, and to put it back, and what confirms each, in hexadecimal digits."""
+    def orders(link: ServoLink, store: BeforeStore) -> dict[str, Any]:
+        """What it writes to stop the servo, and to put it back, and what confirms each, in hexadecimal digits.
+
+        And what it writes to the file of before meanwhile, ahead of which order.
+        """
+        values, sets = store.read(link.model)
         return {
             "stop": _orders(link, stop_orders(link)),
-            "restore": _restoring(link, store.load(link.model) or {}),
+            "restore": _restoring(link, values or {}),
+            "mark": mark_of(link, values or {}, sets),
         }
 
     @property

@@ -142,6 +142,8 @@ class Keeper(Kept):
         self._stop, self._restore = (
             [Order(*map(bytes.fromhex, one)) for one in orders[k]] for k in ("stop", "restore")
         )
+        ahead_of, text = orders["mark"]
+        self.marks(ahead_of, text, "" if store.path is None else str(store.path))
         return self
 
     def beat(self) -> None:
