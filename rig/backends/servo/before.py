@@ -213,6 +213,7 @@ def put_back(link: ServoLink, store: BeforeStore, *, is_left: bool = False) -> d
     link.put(roles["torque"], 0)
     if "watchdog" in roles:
         link.put(roles["watchdog"], 0)  # while it has acted no goal can be written
+        link.hold(roles["watchdog"], 0)  # a late answer to another write may have confirmed that
     names = [name for name in _CHANGED[model.protocol] if name in values]
     mode = names.index(roles["mode"]) if roles["mode"] in names else 0
     for part in (names[:mode], names[mode:]):

@@ -108,6 +108,7 @@ class ServoKeeper:
             "stop": _orders(link, stop_orders(link)),
             "restore": _restoring(link, values or {}),
             "mark": mark_of(link, values or {}, sets),
+            "zero": _zero(link),
         }
 
     @property
@@ -194,6 +195,20 @@ def stop_orders(link: ServoLink) -> list[Ask]:
     roles = link.model.roles
     off = link.write_of(roles["torque"], 0)
     return [off] if "lock" in roles else [link.write_of(roles["drive"], 0), off]
+
+
+def _zero(link: ServoLink) -> list[tuple[str, str]]:
+    """Of one with a lock, once its torque is off: a look whether it is in PWM mode still, and behind that duty 0.
+
+    Else rig's duty would stay, for whoever puts it into that mode next.
+    """
+    roles, codec = link.model.roles, link.bus.codec
+    if "lock" not in roles:
+        return []  # it got duty 0 with the stop
+    mode = link.model.role("mode")
+    look = link.bus.reading(mode.address, mode.size, mode.name).data
+    is_there = codec.status(link.bus.id, mode.pack(link.model.pwm_mode))
+    return [(look.hex(), is_there.hex()), *_orders(link, [link.write_of(roles["drive"], 0)])]
 
 
 def _restoring(link: ServoLink, values: Mapping[str, int]) -> list[tuple[str, str]]:

@@ -67,7 +67,7 @@ def main(arguments: list[str]) -> int:
     stop, restore = _orders(orders["stop"]), _orders(orders["restore"])
     with contextlib.suppress(OSError):
         os.write(1, READY)
-    kept = Kept(OpenLink(link), stop, restore)
+    kept = Kept(OpenLink(link), stop, restore, zero=_orders(orders["zero"]))
     ahead_of, text = orders["mark"]
     kept.marks(ahead_of, text, orders["before"])
     if not keep(
@@ -108,9 +108,11 @@ def keep(told: Told, heart: Heartbeat, silence_s: float, kept: Kept) -> bool:
 class Kept:
     """The device behind an open port, and the bytes that stop it and put it back; all times are of the port's clock."""
 
-    def __init__(self, port: Transport, stop: Orders, restore: Orders, sleep: Sleep = time.sleep) -> None:
+    def __init__(
+        self, port: Transport, stop: Orders, restore: Orders, sleep: Sleep = time.sleep, zero: Orders = ()
+    ) -> None:
         self.now_s = port.now_s
-        self._port, self._stop, self._restore, self._sleep = port, stop, restore, sleep
+        self._port, self._stop, self._restore, self._sleep, self._zero = port, stop, restore, sleep, zero
         self._descriptor: int | None = getattr(port, "descriptor", None)
         self._mark: tuple[int, str, str] = (-1, "", "")
 
@@ -164,6 +166,8 @@ class Kept:
         """
         until_s = self.now_s() + _PERSISTS_S
         for number, order in enumerate(self._restore):
+            if number == 1:
+                all(self._confirmed(one, _ANSWERS_S) for one in self._zero)  # none behind one that is not confirmed
             if number == self._mark[0]:
                 with contextlib.suppress(OSError):
                     _write_whole(Path(self._mark[2]), self._mark[1])

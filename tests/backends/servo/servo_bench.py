@@ -139,8 +139,8 @@ class Keeper(Kept):
 
     def __call__(self, link: ServoLink, store: BeforeStore) -> Keeper:
         orders = ServoKeeper.orders(link, store)
-        self._stop, self._restore = (
-            [Order(*map(bytes.fromhex, one)) for one in orders[k]] for k in ("stop", "restore")
+        self._stop, self._restore, self._zero = (
+            [Order(*map(bytes.fromhex, one)) for one in orders[k]] for k in ("stop", "restore", "zero")
         )
         ahead_of, text = orders["mark"]
         self.marks(ahead_of, text, "" if store.path is None else str(store.path))

@@ -221,12 +221,13 @@ def test_nothing_is_written_to_a_servo_that_falls_silent_before_its_values_are_k
 def test_what_the_keeper_writes_stops_a_servo_and_puts_it_back_wherever_the_run_was_killed(
     protocol: str, first: int
 ) -> None:
-    """Ahead of any of its writes, or of the time after one. The keeper looks at nothing before it writes."""
-    for phase in range(first, first + 50) if first else (7, 60):
+    """Ahead of any of its writes, or of the time after one. The keeper looks at the mode alone before it writes."""
+    for phase in range(first, first + 50) if first else (7, 9, 60):
         rng = random.Random(phase)
         bench = Bench(protocol, resumes=rng.random() < 0.5)
         bench.servo.put("position_p_gain", 123)
         before, left, real = owned(bench), phase % LAST_STEP if phase < 2 * LAST_STEP else phase, bench.bus.write
+        duty = bench.servo.of("drive")
         keeper = bench.driver._start_guardian = Keeper(bench)
 
         def write(data: bytes, bench: Bench = bench, real: Callable[[bytes], None] = real) -> None:
@@ -248,6 +249,7 @@ def test_what_the_keeper_writes_stops_a_servo_and_puts_it_back_wherever_the_run_
             bench.bus.sleep_until(bench.bus.now_s() + 0.002)  # the servo's step
             assert not bench.servo.is_on and bench.servo.truth().duty == 0.0, phase
             assert keeper.restore(), phase
+            assert bench.servo.of("drive") in (0, duty), phase  # not rig's
         assert owned(bench) == before and not bench.servo.is_on and bench.wrong() == [], phase
 
 
