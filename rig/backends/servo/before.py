@@ -248,7 +248,8 @@ def _as_left(link: ServoLink, values: Mapping[str, int], sets: Sets, store: Befo
                 f"{held[name]} for {values[name]} there the rest is put back",
             )
     is_end = sets.keys() == {model.roles["mode"]}  # all but that is back
-    if not is_end and not any(held[name] != values[name] and held[name] in ours[name] for name in sets):
+    is_stopped = held.get(drive) == 0 != values.get(drive, 0)  # by a keeper, before anything else was changed
+    if not (is_end or is_stopped or any(held[name] != values[name] and held[name] in ours[name] for name in sets)):
         return {drive: 0} if values.get(drive) == 0 else {}  # of a servo of PWM mode rig's duty shows nowhere else
     mode = model.roles["mode"]
     # who has changed the mode back has set these anew, and what they hold is that one's
@@ -271,14 +272,13 @@ def order_of(link: ServoLink, values: Mapping[str, int]) -> list[Ask]:
     return [*asks, link.write_of(roles["torque"], 0)]
 
 
-def mark_of(link: ServoLink, values: Mapping[str, int], sets: Sets) -> tuple[int, str]:
-    """Ahead of which of these instructions the file must say that all but the mode is back, and what it holds then.
+def mark_of(link: ServoLink, values: Mapping[str, int], sets: Sets) -> tuple[list[str], str]:
+    """Behind which of these registers the file must say that all but the mode is back, and what it holds then.
 
-    Once the mode is back nothing tells that rig has changed what that sets anew, as ``put_back`` knows.
+    Once the mode is back nothing tells that rig has changed what that sets anew, as ``put_back`` knows. None: never.
     """
     model, mode = link.model, link.model.roles["mode"]
     names = [name for name in _CHANGED[model.protocol] if name in values]
     if mode not in names or names[-1] not in _RESET_BY_MODE:
-        return -1, ""
-    ahead = 1 + ("watchdog" in model.roles)
-    return ahead + names.index(mode), _text_of(model, link.bus.id, values, {mode: sets.get(mode, ())})
+        return [], ""
+    return names[: names.index(mode)], _text_of(model, link.bus.id, values, {mode: sets.get(mode, ())})

@@ -104,10 +104,12 @@ class ServoKeeper:
         And what it writes to the file of before meanwhile, ahead of which order.
         """
         values, sets = store.read(link.model)
+        early, text = mark_of(link, values or {}, sets)
+        restoring, ahead_of = _restoring(link, values or {}, early)
         return {
             "stop": _orders(link, stop_orders(link)),
-            "restore": _restoring(link, values or {}),
-            "mark": mark_of(link, values or {}, sets),
+            "restore": restoring,
+            "mark": (ahead_of, text),
             "zero": _zero(link),
         }
 
@@ -211,16 +213,21 @@ def _zero(link: ServoLink) -> list[tuple[str, str]]:
     return [(look.hex(), is_there.hex()), *_orders(link, [link.write_of(roles["drive"], 0)])]
 
 
-def _restoring(link: ServoLink, values: Mapping[str, int]) -> list[tuple[str, str]]:
-    """What puts registers back, then a look at each: a late answer may have confirmed a write that was lost."""
-    *writes, off = order_of(link, values)
-    looks = []
+def _restoring(link: ServoLink, values: Mapping[str, int], early: list[str]) -> tuple[list[tuple[str, str]], int]:
+    """What puts registers back, then a look at each: a late answer may have confirmed a write that was lost.
+
+    Those that are early are looked at ahead of the rest, too; how many orders are ahead of that, -1: none are early.
+    """
+    *writes, off = _orders(link, order_of(link, values))
     watchdog = link.model.roles.get("watchdog")
+    looks = {}
     for name, value in {**values, **({} if watchdog is None else {watchdog: 0})}.items():
         register = link.model[name]
         answer = link.bus.codec.status(link.bus.id, register.pack(value))
-        looks.append((link.bus.reading(register.address, register.size, name).data.hex(), answer.hex()))
-    return [*_orders(link, writes), *looks, *_orders(link, [off])]
+        looks[name] = (link.bus.reading(register.address, register.size, name).data.hex(), answer.hex())
+    at = len(writes) - len(values) + len(early)
+    first = [*writes[:at], *(looks[name] for name in early)]
+    return [*first, *writes[at:], *looks.values(), off], len(first) if early else -1
 
 
 def _orders(link: ServoLink, asks: list[Ask]) -> list[tuple[str, str]]:

@@ -277,6 +277,43 @@ def test_a_late_answer_to_another_write_of_the_keeper_confirms_none_that_was_los
         assert not bench.servo.is_on and (not restored or owned(bench) == before), lost - 1
 
 
+def test_a_watchdog_that_has_acted_is_cleared_though_a_late_answer_to_another_write_says_so() -> None:
+    """While it has acted the next program's goals are refused."""
+    bench = Bench()
+    before = bench.registers()
+    bench.opened()
+    bench.servo.put("bus_watchdog", -1)
+    asks, lost = b"", 0
+
+    def late(direction: str, data: bytes, _: float) -> list[tuple[float, bytes]]:
+        nonlocal asks, lost
+        if direction == "reply":
+            return [(0.0, data), (5e-4, data)] if asks[7:9] == b"\x03\x40" else [(0.0, data)]  # of torque off
+        asks, is_lost = data, data[7:9] == b"\x03\x62" and lost == 0
+        lost += is_lost
+        return [] if is_lost else [(0.0, data)]
+
+    bench.bus.bus.disturbance = late
+    bench.driver.close()
+    assert lost == 1 and bench.registers() == before
+
+
+def test_a_goal_that_a_keeper_has_stopped_in_another_mode_is_put_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The run was killed before it had changed anything, and the bus failed behind the stop: nothing else tells."""
+    bench = Bench(store=BeforeStore(tmp_path / "servo.json"))
+    before, keeper = bench.registers(), Keeper(bench)
+    bench.driver._start_guardian = keeper
+    monkeypatch.setattr(bench.driver._link, "put", Mock(side_effect=Killed))
+    with pytest.raises(Killed):
+        bench.opened()
+    assert keeper.stop() and bench.servo.value("goal_pwm") == 0
+    monkeypatch.undo()
+    restore(bench.another()._link, BeforeStore(bench.store.path))
+    assert bench.registers() == before
+
+
 def test_the_last_that_a_keeper_writes_is_torque_off() -> None:
     """A duty that is put back may have switched it on."""
     bench = Bench("feetech", torque_on_by_goal=True)
@@ -499,6 +536,7 @@ def test_what_a_keeper_that_was_killed_had_still_to_put_back_the_next_command_do
         store = left_by_a_killed_run(bench, tmp_path)
         bench.tick(0.3)
         assert keeper.stop()
+        keeper._zero = () if mode == "PWM" else keeper._zero  # the servo did not hear that
         orders = len(keeper._restore)
         keeper._restore = keeper._restore[:given]
         assert keeper.restore()
