@@ -1,4 +1,4 @@
-"""A line whose answers come as late as its driver takes them, and how long a loop then needs until it has reacted."""
+"""A line whose answers, or a host whose ticks, come as late as a driver takes them, and how long a loop then reacts."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ HOST_SHARE = 0.1  # of the period, that the host takes behind each drive
 class LateBus:
     """A disturbance of a line: lateness of each exchange, on the way there or back; and when each request arrives.
 
+    Or the host stands still between exchanges.
+
     left_s   for how long the driver would wait for the next answer, s
     quick_s  what an exchange takes that nobody disturbs, at most, s
     there    share of requests that are late, not their answers
@@ -31,7 +33,7 @@ class LateBus:
         self.is_late = True
         self._left_s, self._quick_s, self._timeout_s = left_s, quick_s, timeout_s
         self._there, self._draw = there, random.Random(seed)
-        self._kind = self._draw.choice(["all", "timeout", "any", "first", "lost"])
+        self._kind = self._draw.choice(["all", "timeout", "any", "first", "lost", "host"])
         self._begins = self._draw.randrange(10)  # this request is the first that is late
         self._back_s = 0.0
 
@@ -45,8 +47,14 @@ class LateBus:
         self.arrived.append(t_s + late_s)
         return [(late_s, data)] if late_s < LOST_S else []
 
+    def stands_s(self) -> float:
+        """How long the host stands still now, s."""
+        if self._kind != "host" or len(self.arrived) < self._begins:
+            return 0.0
+        return max(self._left_s() - self._quick_s - EARLY_S, 0.0) * self._draw.choice([0.0, 0.1, 0.25])
+
     def _lateness(self) -> float:
-        if not self.is_late or len(self.arrived) < self._begins:
+        if not self.is_late or self._kind == "host" or len(self.arrived) < self._begins:
             return 0.0
         left_s, timeout_s = (wait_s - self._quick_s - EARLY_S for wait_s in (self._left_s(), self._timeout_s))
         drawn = self._draw.random()
@@ -77,9 +85,11 @@ def longest_reaction_s(driver: Any, clock: Any, late: LateBus, period_s: float, 
             first = len(late.arrived)
             driver.read()
             sampled.append(late.arrived[first])
+            clock.sleep_until(clock.now_s() + late.stands_s())
             driver.write(u_V if tick % 2 else -u_V)
             acted.append(late.arrived[-1])
             clock.sleep_until(clock.now_s() + HOST_SHARE * period_s)
+            clock.sleep_until(clock.now_s() + late.stands_s())
             tick += 1 + max(int((clock.now_s() - due_s) / period_s), 0)
     except Fault:
         late.is_late = False

@@ -281,7 +281,8 @@ FAULTS: dict[str, FaultEntry] = {
         "what is late and make it quicker: a filter of the sensor, the scan time of an I/O block, a ramp of the drive",
     ),
     "LATE": FaultEntry(
-        "ticks came late, so strokes of the breakaway check lasted too long",
+        "ticks came late: strokes of the breakaway check lasted too long, or the loop reacts later than the room to "
+        "stop counts",
         "close programs that load the machine; `rig doctor CONFIG` shows how late ticks come and what helps; then "
         "start the run again",
     ),

@@ -13,7 +13,8 @@ from rig.run_folder.recording.folder import write_whole
 ROOT = Path(__file__).resolve().parents[2]
 BENCHMARKS = (
     "device_relay", "identify_speed", "list_speed", "live_view", "modbus_latency", "motor_law_speed", "panel",
-    "record_cost", "sampled_data_speed", "servo_tick", "simulator_speed", "tick", "triple_relay_speed", "wake_up",
+    "record_cost", "sampled_data_speed", "servo_loop", "servo_tick", "simulator_speed", "tick", "triple_relay_speed",
+    "wake_up",
 )  # fmt: skip
 
 

@@ -221,7 +221,7 @@ class RegisterDriver(ABC, Generic[Req]):
         else:
             self._acts_s = min(self.failsafe.time_s, LONGEST_WATCHDOG_S)
             longest_s = self._lost_reply_s + self._acts_s
-        self._waits.restart(longest_s)
+        self._waits.restart(longest_s, self._transport.now_s())
 
     def read(self) -> Sample:
         """Sample the bench.
@@ -236,6 +236,7 @@ class RegisterDriver(ABC, Generic[Req]):
         values = self._values(self._read_span, reply)
         if self._armed:
             self._check_armed(values)
+            self._check_late("LINK_TIMEOUT")
         elif self._max_units > 0:  # armed before: a fault in a pause must not go unseen
             self._check_pause(values)
         try:
@@ -260,6 +261,7 @@ class RegisterDriver(ABC, Generic[Req]):
         self._tick_writing(units)
         self._waits.drive()
         self._units = units
+        self._check_late("LINK_TIMEOUT")
 
     def safe_stop(self) -> bool:
         """Drive 0, control to stop, up to three times. True once replies and registers confirm it.
@@ -528,9 +530,12 @@ class RegisterDriver(ABC, Generic[Req]):
         It waits for as long as the device's watchdog lets the last drive act, and as all late ticks while a loop reacts
         may take together: that is what preflight counts. One request is under way at a time, so what comes late can
         only be its reply. Where one reply after the other is late, the link is not fit for the period: LINK_TIMEOUT.
+        Where ticks came too late before it: LATE.
         """
-        begun_s, left_s = self._transport.now_s(), self._waits.left_s
+        self._check_late("LATE")
+        begun_s = self._transport.now_s()
         longest_s = max(self._timeout_s, self._driven_s + self._acts_s - begun_s)
+        left_s = self._waits.left_s(begun_s) if self._acts_at(begun_s) else longest_s
         waits_s = max(min(longest_s, left_s), 0.0)
         try:
             reply = self._client.asked(request, waits_s, in_tick=True, idle_s=min(idle_s, waits_s))
@@ -540,15 +545,24 @@ class RegisterDriver(ABC, Generic[Req]):
                 raise Fault(fault.code, f"{fault.detail}; {self._waits.words}") from fault
             raise
         self._beyond[request is self._sampling].take(reply.latest_s - reply.executed_s)
-        # also where this process was late; for longer no drive acts
-        self._waits.take(min(self._transport.now_s() - begun_s, self._acts_s))
         self._late_in_a_row = self._late_in_a_row + 1 if reply.round_trip_s > self._unfit_s else 0
-        if self._waits.is_over or self._late_in_a_row >= _LATE_REPLIES:
-            in_a_row = f"{_LATE_REPLIES} replies in a row took over {1e3 * self._unfit_s:g} ms"
-            ends = Fault("LINK_TIMEOUT", self._waits.words if self._waits.is_over else in_a_row)
+        if self._late_in_a_row >= _LATE_REPLIES:
+            ends = Fault("LINK_TIMEOUT", f"{_LATE_REPLIES} replies in a row took over {1e3 * self._unfit_s:g} ms")
             self._explain(ends)
             raise ends
         return reply
+
+    def _acts_at(self, now_s: float) -> bool:
+        """Whether the last drive may act then: where its watchdog has ended it the device says so."""
+        return self.failsafe is None or now_s < self._driven_s + self._acts_s
+
+    def _check_late(self, code: str) -> None:
+        """Raise that fault where late ticks and replies have taken more than is counted, and a drive may act."""
+        now_s = self._transport.now_s()
+        if self._waits.is_over(now_s) and self._acts_at(now_s):
+            ends = Fault(code, self._waits.words)
+            self._explain(ends)
+            raise ends
 
     def _explain(self, fault: Fault) -> None:
         """Raise the fault that is behind one of the link, where the driver knows it."""

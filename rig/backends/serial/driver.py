@@ -328,7 +328,7 @@ class SerialDriver:
         if code != Code.NONE:
             raise Fault(_FAULT_OF_CODE.get(code, "LINK_REJECTED"), f"arming refused, {frames.code_name(code)}")
         self.failsafe = DeviceWatchdog(1e-3 * setup.watchdog_ms)
-        self._waits.restart(self._timeout_s + self.failsafe.time_s)
+        self._waits.restart(self._timeout_s + self.failsafe.time_s, self._heard_s)
         self._unconfirmed = None
         self._pulse = self._ended = None
         self._lost_in_a_row = 0
@@ -414,10 +414,12 @@ class SerialDriver:
 
         A late answer to an earlier READ is good too, since a state carries the time of its sample. While armed this
         waits for as long as the device's watchdog lets the last drive act. Raises Fault LINK_TIMEOUT without an answer,
-        and when three readings in a row had to be repeated.
+        and when three readings in a row had to be repeated; LATE where ticks came too late together.
         """
         begun_s = self._exchange.now_s()
         self._waits.read(begun_s)
+        if self._is_over(begun_s):
+            raise Fault("LATE", self._waits.words)
         seqs = [self._exchange.send(Kind.READ)]
         sent_s = self._exchange.now_s()  # a host that stood still may have sent it late
         ends_s = self._ends_s(begun_s, sent_s)
@@ -426,10 +428,8 @@ class SerialDriver:
             damage_ends = len(seqs) < _READS_AT_ONCE
             packet = self._exchange.wait(seqs, Kind.STATE, min(until_s, ends_s), damage_ends=damage_ends)
             if packet is not None:
-                # also where this process stood still; for longer the watchdog lets no drive act
-                self._waits.take(min(self._exchange.now_s() - begun_s, self._watchdog_s))
                 self._again_in_a_row = 0 if len(seqs) == 1 else self._again_in_a_row + 1
-                is_over = self._armed and self._waits.is_over
+                is_over = self._is_over(self._exchange.now_s())  # also where this process stood still
                 if self._again_in_a_row < _READ_AGAIN and not is_over:
                     return packet
                 again = f"{_READ_AGAIN} readings in a row had to be asked for again"
@@ -444,6 +444,10 @@ class SerialDriver:
         self._exchange.timeouts += 1
         raise self._exchange.silence(Kind.READ, f"no reply to {len(seqs)} READ within {1e3 * (ends_s - sent_s):.0f} ms")
 
+    def _is_over(self, now_s: float) -> bool:
+        """Whether late ticks have taken more than is counted, while the watchdog may still let the last drive act."""
+        return self._armed and now_s < self._heard_s + self._watchdog_s and self._waits.is_over(now_s)
+
     def _ends_s(self, begun_s: float, sent_s: float) -> float:
         """Until when a tick that began then waits for the answer to what it sent, s: the watchdog bounds the drive.
 
@@ -451,8 +455,11 @@ class SerialDriver:
         """
         if not self._armed:
             return sent_s + self._timeout_s
-        longest_s = max(self._timeout_s, self._heard_s + self._watchdog_s - sent_s)
-        return min(sent_s + longest_s, max(begun_s + self._waits.left_s, sent_s))
+        acts_s = self._heard_s + self._watchdog_s - sent_s
+        if acts_s <= 0.0:
+            return sent_s + self._timeout_s  # nothing drives: the answer says why
+        longest_s = max(self._timeout_s, acts_s)
+        return min(sent_s + longest_s, max(begun_s + self._waits.left_s(begun_s), sent_s))
 
     @property
     def _watchdog_s(self) -> float:
@@ -560,6 +567,7 @@ class SerialDriver:
         self._unconfirmed = None
         self._law = None
         law = LawRun(self._exchange, self.calibration, self.drive_map, self._clock, self._session)
+        self._waits.restart(self._waits.longest_s, self._exchange.now_s())  # its ticks are the device's
         law.start(setup)
         self._law = law
 

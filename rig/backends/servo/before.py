@@ -135,7 +135,7 @@ class BeforeStore:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with fresh.open("w", encoding="utf-8") as file:
-                json.dump({"model": model.name, "id": id, "registers": self._values, "set": dict(sets)}, file)
+                file.write(_text_of(model, id, values, sets))
                 file.flush()
                 os.fsync(file.fileno())
             fresh.replace(self.path)
@@ -160,6 +160,10 @@ class BeforeStore:
         if self.path is not None:
             with contextlib.suppress(OSError):
                 self.path.unlink(missing_ok=True)
+
+
+def _text_of(model: ServoModel, id: int, values: Mapping[str, int], sets: Sets) -> str:
+    return json.dumps({"model": model.name, "id": id, "registers": dict(values), "set": dict(sets)})
 
 
 def state_folder() -> Path:
@@ -209,6 +213,7 @@ def put_back(link: ServoLink, store: BeforeStore, *, is_left: bool = False) -> d
     link.put(roles["torque"], 0)
     if "watchdog" in roles:
         link.put(roles["watchdog"], 0)  # while it has acted no goal can be written
+        link.hold(roles["watchdog"], 0)  # a late answer to another write may have confirmed that
     names = [name for name in _CHANGED[model.protocol] if name in values]
     mode = names.index(roles["mode"]) if roles["mode"] in names else 0
     for part in (names[:mode], names[mode:]):
@@ -243,7 +248,8 @@ def _as_left(link: ServoLink, values: Mapping[str, int], sets: Sets, store: Befo
                 f"{held[name]} for {values[name]} there the rest is put back",
             )
     is_end = sets.keys() == {model.roles["mode"]}  # all but that is back
-    if not is_end and not any(held[name] != values[name] and held[name] in ours[name] for name in sets):
+    is_stopped = held.get(drive) == 0 != values.get(drive, 0)  # by a keeper, before anything else was changed
+    if not (is_end or is_stopped or any(held[name] != values[name] and held[name] in ours[name] for name in sets)):
         return {drive: 0} if values.get(drive) == 0 else {}  # of a servo of PWM mode rig's duty shows nowhere else
     mode = model.roles["mode"]
     # who has changed the mode back has set these anew, and what they hold is that one's
@@ -264,3 +270,15 @@ def order_of(link: ServoLink, values: Mapping[str, int]) -> list[Ask]:
         asks.append(link.write_of(roles["watchdog"], 0))
     asks += [link.write_of(name, values[name]) for name in _CHANGED[model.protocol] if name in values]
     return [*asks, link.write_of(roles["torque"], 0)]
+
+
+def mark_of(link: ServoLink, values: Mapping[str, int], sets: Sets) -> tuple[list[str], str]:
+    """Behind which of these registers the file must say that all but the mode is back, and what it holds then.
+
+    Once the mode is back nothing tells that rig has changed what that sets anew, as ``put_back`` knows. None: never.
+    """
+    model, mode = link.model, link.model.roles["mode"]
+    names = [name for name in _CHANGED[model.protocol] if name in values]
+    if mode not in names or names[-1] not in _RESET_BY_MODE:
+        return [], ""
+    return names[: names.index(mode)], _text_of(model, link.bus.id, values, {mode: sets.get(mode, ())})

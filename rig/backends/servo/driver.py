@@ -292,6 +292,7 @@ class ServoDriver(RegisterDriver[Ask]):
             if fault.code.startswith("LINK_"):
                 raise
             raise Fault(fault.code, f"{fault.detail}; at {counts:g} counts") from fault
+        self._check_late("LINK_TIMEOUT")
         # as the servo reports it; where it ramps its duty, what it ramps to: the ramp is in ``t_u_s``
         duty = applied if self._strange or self._slope_units_s == math.inf else units
         if (u_V := self._volts.get(duty)) is None:
@@ -606,17 +607,15 @@ class ServoDriver(RegisterDriver[Ask]):
         if self._guardian is not None:
             self._guardian.waits()
         try:
-            waits_s = min(self._timeout_s, self._waits.left_s)
+            waits_s = max(min(self._timeout_s, self._waits.left_s(self._transport.now_s())), 0.0)
             reply = self._client.asked(self._reading(self._glance), waits_s, in_tick=True)
             values = self._glance.values(self._cells(reply))
         except Fault as fault:
-            lost_s = LATE_TIMEOUTS * self._timeout_s
-            if fault.code not in ("LINK_TIMEOUT", "LINK_REPLY") or lost_s > self._waits.left_s:
+            left_s = self._waits.left_s(self._transport.now_s())
+            if fault.code not in ("LINK_TIMEOUT", "LINK_REPLY") or self._timeout_s > left_s:
                 raise
-            self._waits.take(lost_s)
             self._client.wait(self._timeout_s)
             return
-        self._waits.take(reply.round_trip_s)
         at_s, applied = self._step_of(values["tick"], reply) + STEP_S, values["applied"]  # it may be one step ahead
         if abs(applied - self._ways[-1].end) <= _STEPS_OFF:
             return

@@ -10,9 +10,9 @@ import subprocess
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from rig.backends.servo.before import BeforeStore, order_of
+from rig.backends.servo.before import BeforeStore, mark_of, order_of
 from rig.backends.servo.bus import Ask, ServoLink
 from rig.core.copies import keep_from_copies, no_longer_own
 from rig.core.faults import Fault
@@ -98,11 +98,19 @@ class ServoKeeper:
             raise Fault("SERVO_UNWATCHED", error.detail if isinstance(error, Fault) else str(error)) from error
 
     @staticmethod
-    def orders(link: ServoLink, store: BeforeStore) -> dict[str, list[tuple[str, str]]]:
-        """What it writes to stop the servo, and to put it back, and what confirms each, in hexadecimal digits."""
+    def orders(link: ServoLink, store: BeforeStore) -> dict[str, Any]:
+        """What it writes to stop the servo, and to put it back, and what confirms each, in hexadecimal digits.
+
+        And what it writes to the file of before meanwhile, ahead of which order.
+        """
+        values, sets = store.read(link.model)
+        early, text = mark_of(link, values or {}, sets)
+        restoring, ahead_of = _restoring(link, values or {}, early)
         return {
             "stop": _orders(link, stop_orders(link)),
-            "restore": _restoring(link, store.load(link.model) or {}),
+            "restore": restoring,
+            "mark": (ahead_of, text),
+            "zero": _zero(link),
         }
 
     @property
@@ -191,16 +199,35 @@ def stop_orders(link: ServoLink) -> list[Ask]:
     return [off] if "lock" in roles else [link.write_of(roles["drive"], 0), off]
 
 
-def _restoring(link: ServoLink, values: Mapping[str, int]) -> list[tuple[str, str]]:
-    """What puts registers back, then a look at each: a late answer may have confirmed a write that was lost."""
-    *writes, off = order_of(link, values)
-    looks = []
+def _zero(link: ServoLink) -> list[tuple[str, str]]:
+    """Of one with a lock, once its torque is off: a look whether it is in PWM mode still, and behind that duty 0.
+
+    Else rig's duty would stay, for whoever puts it into that mode next.
+    """
+    roles, codec = link.model.roles, link.bus.codec
+    if "lock" not in roles:
+        return []  # it got duty 0 with the stop
+    mode = link.model.role("mode")
+    look = link.bus.reading(mode.address, mode.size, mode.name).data
+    is_there = codec.status(link.bus.id, mode.pack(link.model.pwm_mode))
+    return [(look.hex(), is_there.hex()), *_orders(link, [link.write_of(roles["drive"], 0)])]
+
+
+def _restoring(link: ServoLink, values: Mapping[str, int], early: list[str]) -> tuple[list[tuple[str, str]], int]:
+    """What puts registers back, then a look at each: a late answer may have confirmed a write that was lost.
+
+    Those that are early are looked at ahead of the rest, too; how many orders are ahead of that, -1: none are early.
+    """
+    *writes, off = _orders(link, order_of(link, values))
     watchdog = link.model.roles.get("watchdog")
+    looks = {}
     for name, value in {**values, **({} if watchdog is None else {watchdog: 0})}.items():
         register = link.model[name]
         answer = link.bus.codec.status(link.bus.id, register.pack(value))
-        looks.append((link.bus.reading(register.address, register.size, name).data.hex(), answer.hex()))
-    return [*_orders(link, writes), *looks, *_orders(link, [off])]
+        looks[name] = (link.bus.reading(register.address, register.size, name).data.hex(), answer.hex())
+    at = len(writes) - len(values) + len(early)
+    first = [*writes[:at], *(looks[name] for name in early)]
+    return [*first, *writes[at:], *looks.values(), off], len(first) if early else -1
 
 
 def _orders(link: ServoLink, asks: list[Ask]) -> list[tuple[str, str]]:

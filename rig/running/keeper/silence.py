@@ -67,7 +67,9 @@ def main(arguments: list[str]) -> int:
     stop, restore = _orders(orders["stop"]), _orders(orders["restore"])
     with contextlib.suppress(OSError):
         os.write(1, READY)
-    kept = Kept(OpenLink(link), stop, restore)
+    kept = Kept(OpenLink(link), stop, restore, zero=_orders(orders["zero"]))
+    ahead_of, text = orders["mark"]
+    kept.marks(ahead_of, text, orders["before"])
     if not keep(
         lambda wait_s: os.read(pipe, 4096) if select.select([pipe], [], [], wait_s)[0] else None,
         Heartbeat(memory), orders["silence_s"], kept,
@@ -106,10 +108,17 @@ def keep(told: Told, heart: Heartbeat, silence_s: float, kept: Kept) -> bool:
 class Kept:
     """The device behind an open port, and the bytes that stop it and put it back; all times are of the port's clock."""
 
-    def __init__(self, port: Transport, stop: Orders, restore: Orders, sleep: Sleep = time.sleep) -> None:
+    def __init__(
+        self, port: Transport, stop: Orders, restore: Orders, sleep: Sleep = time.sleep, zero: Orders = ()
+    ) -> None:
         self.now_s = port.now_s
-        self._port, self._stop, self._restore, self._sleep = port, stop, restore, sleep
+        self._port, self._stop, self._restore, self._sleep, self._zero = port, stop, restore, sleep, zero
         self._descriptor: int | None = getattr(port, "descriptor", None)
+        self._mark: tuple[int, str, str] = (-1, "", "")
+
+    def marks(self, ahead_of: int, text: str, before: str) -> None:
+        """Ahead of that order of a restoring the file ``before`` gets this text; no file: an empty name."""
+        self._mark = (ahead_of if before else -1, text, before)
 
     def stop(self) -> bool:
         """Write the stop, three times, and on until one is confirmed, for a second; whether one was."""
@@ -156,7 +165,12 @@ class Kept:
         the others.
         """
         until_s = self.now_s() + _PERSISTS_S
-        for order in self._restore:
+        for number, order in enumerate(self._restore):
+            if number == 1:
+                all(self._confirmed(one, _ANSWERS_S) for one in self._zero)  # none behind one that is not confirmed
+            if number == self._mark[0]:
+                with contextlib.suppress(OSError):
+                    _write_whole(Path(self._mark[2]), self._mark[1])
             while not self._confirmed(order, _RESTORES_S):
                 if self.now_s() > until_s:
                     self._given(self._restore[-1:], _RESTORES_S)
@@ -189,9 +203,14 @@ class Kept:
             if restored and before:
                 Path(before).unlink(missing_ok=True)
             if note:
-                fresh = Path(f"{note}.{os.getpid()}")
-                fresh.write_text(words, encoding="utf-8")
-                fresh.replace(note)  # whole, or not there
+                _write_whole(Path(note), words)
+
+
+def _write_whole(path: Path, text: str) -> None:
+    """The file is there as it was, or as it will be."""
+    fresh = Path(f"{path}.{os.getpid()}")
+    fresh.write_text(text, encoding="utf-8")
+    fresh.replace(path)
 
 
 def _orders(pairs: Sequence[Sequence[str]]) -> list[Order]:

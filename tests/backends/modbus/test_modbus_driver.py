@@ -829,7 +829,10 @@ def test_a_loop_reacts_within_the_time_that_the_room_to_stop_counts(style: str, 
     driver, timeout_s, longest_s = rig.driver, experiment.daq.timeout_s, 0.0
 
     def awaited_s() -> float:
-        return min(driver._waits.left_s, max(driver._driven_s + driver._acts_s - rig.block.now_s(), timeout_s))
+        return min(
+            driver._waits.left_s(rig.block.now_s()),
+            max(driver._driven_s + driver._acts_s - rig.block.now_s(), timeout_s),
+        )
 
     for seed in range(60):
         rig.arm()

@@ -108,7 +108,7 @@ def test_a_loop_reacts_within_the_time_that_the_room_to_stop_counts(
     with opened(timeout_s, watchdog_s, period_s) as (d, driver, line):
         for seed in range(SEEDS):
             driver.arm(d.arming)
-            line.late = late = LateBus(lambda: driver._waits.left_s, QUICK_S, timeout_s, seed, there=0.0)
+            line.late = late = LateBus(lambda: driver._waits.left_s(line.now_s()), QUICK_S, timeout_s, seed, there=0.0)
             reaction_s = longest_reaction_s(LateReadings(driver, late), line, late, period_s, reaction_periods(d))
             longest_s = max(longest_s, reaction_s)
             line.late = None
@@ -118,19 +118,29 @@ def test_a_loop_reacts_within_the_time_that_the_room_to_stop_counts(
 
 
 @pytest.mark.parametrize(("stands_s", "ends"), [
-    ([0.09], False), ([0.05, 0.0, 0.05, 0.0], False), ([0.08, 0.0, 0.08, 0.0], True), ([0.05] * 4, True),
+    ([0.09], False), ([0.05, 0.0, 0.05, 0.0], False), ([0.08, 0.0, 0.08, 0.0], True), ([0.055] * 4, True),
 ])  # fmt: skip
-def test_a_host_that_stands_still_again_while_a_loop_reacts_ends_the_run(stands_s: list[float], ends: bool) -> None:
-    """Where its reading had come meanwhile that counted for nothing: it drove on for three times as long as counted."""
+@pytest.mark.parametrize("between", [False, True])
+def test_a_host_that_stands_still_again_while_a_loop_reacts_ends_the_run(
+    stands_s: list[float], ends: bool, between: bool
+) -> None:
+    """Where its reading had come meanwhile that counted for nothing: it drove on for three times as long as counted.
+
+    Nor did anything count a host that stood still between exchanges.
+    """
     with opened(0.03, 0.1) as (d, driver, line):
         driver.arm(d.arming)
         fault = None
         try:
             for host_s in [0.0, *stands_s, 0.0]:
-                line.stands_s, begins_s = host_s, line.now_s()
+                line.stands_s, begins_s = 0.0 if between else host_s, line.now_s()
                 driver.read()
                 driver.write(0.1)
-                line.sleep_until(begins_s + d.period_s)
+                line.sleep_until(begins_s + d.period_s + (host_s if between else 0.0))
         except Fault as caught:
             fault = caught
-    assert (fault is not None and "all that `rig check` counts" in fault.detail) if ends else fault is None
+    if not ends:
+        assert fault is None
+    else:
+        assert fault is not None and fault.code == ("LATE" if between else "LINK_TIMEOUT")
+        assert "all that `rig check` counts" in fault.detail

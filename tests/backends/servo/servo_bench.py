@@ -74,7 +74,7 @@ class Bench:
     def another(self) -> ServoDriver:
         """A driver as of a command that follows: on the same bus, with the same file of values."""
         daq = self.e.daq
-        timeouts = Timeouts(daq.timeout_s, 0.2, self.e.period_s)
+        timeouts = Timeouts(daq.timeout_s, 0.2, max(self.e.period_s, PERIOD_S))
         self.bus._is_plugged = True  # the command before has closed its port
         self.driver = ServoDriver(self.bus, self.setup, daq.baud, self.e.device.scaling, timeouts, self.store)
         return self.driver
@@ -139,9 +139,11 @@ class Keeper(Kept):
 
     def __call__(self, link: ServoLink, store: BeforeStore) -> Keeper:
         orders = ServoKeeper.orders(link, store)
-        self._stop, self._restore = (
-            [Order(*map(bytes.fromhex, one)) for one in orders[k]] for k in ("stop", "restore")
+        self._stop, self._restore, self._zero = (
+            [Order(*map(bytes.fromhex, one)) for one in orders[k]] for k in ("stop", "restore", "zero")
         )
+        ahead_of, text = orders["mark"]
+        self.marks(ahead_of, text, "" if store.path is None else str(store.path))
         return self
 
     def beat(self) -> None:

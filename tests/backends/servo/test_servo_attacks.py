@@ -361,7 +361,7 @@ def test_who_goes_on_after_the_keeper_has_acted_says_so(protocol: str, late: boo
     bench.bus.sleep_until(bench.bus.now_s() + 0.02)
     watching.has_acted = True
     if late:
-        bench.driver._waits.restart(0.01)
+        bench.driver._waits.restart(0.01, bench.bus.now_s())
         bench.bus.bus.reply_fault = ReplyFault("late", by_s=0.02)
     else:
         bench.servo._set("torque", 0)

@@ -221,12 +221,13 @@ def test_nothing_is_written_to_a_servo_that_falls_silent_before_its_values_are_k
 def test_what_the_keeper_writes_stops_a_servo_and_puts_it_back_wherever_the_run_was_killed(
     protocol: str, first: int
 ) -> None:
-    """Ahead of any of its writes, or of the time after one. The keeper looks at nothing before it writes."""
-    for phase in range(first, first + 50) if first else (7, 60):
+    """Ahead of any of its writes, or of the time after one. The keeper looks at the mode alone before it writes."""
+    for phase in range(first, first + 50) if first else (7, 9, 60):
         rng = random.Random(phase)
         bench = Bench(protocol, resumes=rng.random() < 0.5)
         bench.servo.put("position_p_gain", 123)
         before, left, real = owned(bench), phase % LAST_STEP if phase < 2 * LAST_STEP else phase, bench.bus.write
+        duty = bench.servo.of("drive")
         keeper = bench.driver._start_guardian = Keeper(bench)
 
         def write(data: bytes, bench: Bench = bench, real: Callable[[bytes], None] = real) -> None:
@@ -248,6 +249,7 @@ def test_what_the_keeper_writes_stops_a_servo_and_puts_it_back_wherever_the_run_
             bench.bus.sleep_until(bench.bus.now_s() + 0.002)  # the servo's step
             assert not bench.servo.is_on and bench.servo.truth().duty == 0.0, phase
             assert keeper.restore(), phase
+            assert bench.servo.of("drive") in (0, duty), phase  # not rig's
         assert owned(bench) == before and not bench.servo.is_on and bench.wrong() == [], phase
 
 
@@ -273,6 +275,43 @@ def test_a_late_answer_to_another_write_of_the_keeper_confirms_none_that_was_los
         bench.bus.bus.disturbance = spoilt
         restored = keeper.restore()
         assert not bench.servo.is_on and (not restored or owned(bench) == before), lost - 1
+
+
+def test_a_watchdog_that_has_acted_is_cleared_though_a_late_answer_to_another_write_says_so() -> None:
+    """While it has acted the next program's goals are refused."""
+    bench = Bench()
+    before = bench.registers()
+    bench.opened()
+    bench.servo.put("bus_watchdog", -1)
+    asks, lost = b"", 0
+
+    def late(direction: str, data: bytes, _: float) -> list[tuple[float, bytes]]:
+        nonlocal asks, lost
+        if direction == "reply":
+            return [(0.0, data), (5e-4, data)] if asks[7:9] == b"\x03\x40" else [(0.0, data)]  # of torque off
+        asks, is_lost = data, data[7:9] == b"\x03\x62" and lost == 0
+        lost += is_lost
+        return [] if is_lost else [(0.0, data)]
+
+    bench.bus.bus.disturbance = late
+    bench.driver.close()
+    assert lost == 1 and bench.registers() == before
+
+
+def test_a_goal_that_a_keeper_has_stopped_in_another_mode_is_put_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The run was killed before it had changed anything, and the bus failed behind the stop: nothing else tells."""
+    bench = Bench(store=BeforeStore(tmp_path / "servo.json"))
+    before, keeper = bench.registers(), Keeper(bench)
+    bench.driver._start_guardian = keeper
+    monkeypatch.setattr(bench.driver._link, "put", Mock(side_effect=Killed))
+    with pytest.raises(Killed):
+        bench.opened()
+    assert keeper.stop() and bench.servo.value("goal_pwm") == 0
+    monkeypatch.undo()
+    restore(bench.another()._link, BeforeStore(bench.store.path))
+    assert bench.registers() == before
 
 
 def test_the_last_that_a_keeper_writes_is_torque_off() -> None:
@@ -491,13 +530,16 @@ def test_what_a_keeper_that_was_killed_had_still_to_put_back_the_next_command_do
         if mode == "PWM":
             bench.servo._set("mode", bench.setup.model.pwm_mode)
             bench.servo._set("drive", 0)
+        bench.servo.put("position_p_gain", 123)  # which a change of the mode resets
         keeper, before = Keeper(bench), owned(bench)
         bench.driver._start_guardian = keeper
         store = left_by_a_killed_run(bench, tmp_path)
         bench.tick(0.3)
         assert keeper.stop()
+        keeper._zero = () if mode == "PWM" else keeper._zero  # the servo did not hear that
         orders = len(keeper._restore)
-        assert all(keeper._given(keeper._restore[:given], 0.1))
+        keeper._restore = keeper._restore[:given]
+        assert keeper.restore()
         bench.bus.sleep_until(bench.bus.now_s() + 0.5)
         restore(bench.another()._link, store)
         assert owned(bench) == before and not bench.servo.is_on and not store.is_kept, given
