@@ -217,7 +217,7 @@ def _behind(
         undone = [one.undone(test) for test in tests]
         if any(float(np.mean(np.abs(test.u_V) > OVER * test.most_V)) > RARE for test in undone):
             return math.inf  # no bridge gave that
-        fit = plain_in_pieces(undone, plain, bridge, FIRST if math.isfinite(most_rad) else PIECE_ITERATIONS)
+        fit = plain_in_pieces(undone, plain, bridge, iterations=FIRST if math.isfinite(most_rad) else PIECE_ITERATIONS)
         if math.isfinite(most_rad) and not fit.arrived and one.left_rad(fit) < most_rad:
             fit = solve(fit, PIECE_ITERATIONS - FIRST, ROUGHLY)
         motors[one] = fit.motor
