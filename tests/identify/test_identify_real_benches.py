@@ -532,9 +532,8 @@ def test_noise_of_a_sampled_velocity_adds_up_and_is_no_law_of_the_motor(tmp_path
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 def test_a_quick_motor_bends_between_the_samples_of_its_velocity(noise: float, tmp_path: Path) -> None:
     """Summed up as if it went straight, tau was 1.3 % off beside 5 without noise, 7 beside 17 with it."""
-    motor, period_s = RealMotor(0.02, 8.0, 0.5), 0.01
-    t_s = period_s * np.arange(1500)
-    u_V = np.repeat([6.0, -6.0, 3.0, -3.0, 4.5, -4.5] * 25, 10)
+    motor, t_s = RealMotor(0.02, 8.0, 0.5), np.linspace(0.0, 15.0, 1500, endpoint=False)
+    u_V = np.repeat(np.array([6.0, -6.0, 3.0, -3.0, 4.5, -4.5] * 25), 10)
     both_s = np.sort(np.concatenate((t_s, t_s + 1e-5)))
     y_rad = response(motor, Frame(duration_s=15.1), (t_s + 0.004, u_V), both_s, Pieces.one())
     v_rad_s = (y_rad[1::2] - y_rad[::2]) / 1e-5
