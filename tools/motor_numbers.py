@@ -17,9 +17,9 @@ LIST = re.compile(r"(?<=#define REAL_MOTOR_NUMBERS\(NUMBER\) \\\n)(?:    NUMBER\
 
 
 def c_list() -> str:
-    """A line for each number: name, whether it is of a part, and whether it curves the motion; its least, its bound."""
+    """A line for each number: name, whether it is of a part, whether the motion stays linear; its least, its bound."""
     rows = [
-        f"    NUMBER({name}, {'MOTOR' if of_every_bench(name) else 'PART'}, {int(number.curves)}, "
+        f"    NUMBER({name}, {'MOTOR' if of_every_bench(name) else 'PART'}, {int(number.linear)}, "
         f"{_in_c(number.of_benches)}, {_in_c(number.below)})"
         for name, number in NUMBERS.items()
     ]

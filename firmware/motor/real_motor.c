@@ -43,8 +43,8 @@ static double most(double a, double b)
 /* Whether a linear motion is taken in one exact step. An AVR has no room for that. */
 static const bool EXACT = sizeof(double) >= 8u;
 
-#define REAL_MOTOR_CURVES(name, of, curves, least, below) (curves) != 0,
-static const bool CURVES[] = {REAL_MOTOR_NUMBERS(REAL_MOTOR_CURVES)};
+#define REAL_MOTOR_IS_LINEAR(name, of, is_linear, least, below) (is_linear) != 0,
+static const bool IS_LINEAR[] = {REAL_MOTOR_NUMBERS(REAL_MOTOR_IS_LINEAR)};
 
 /* The numbers of a motor, and what else is the same in all of its steps: whether it has a force or a friction over the
  * travel, cogging, a Stribeck effect, a torque that differs from its drive, one whose sign matters, and a linear motion;
@@ -67,7 +67,8 @@ static motor motor_of(const real_motor *numbers)
                   m.free_between != 0.0;
     m.sided = m.load_friction != 0.0 || m.no_brake != 0.0;
     m.linear = EXACT;
-#define REAL_MOTOR_LINEAR(name, of, curves, least, below) m.linear = m.linear && (!CURVES[AT_##name] || m.name == 0.0);
+#define REAL_MOTOR_LINEAR(name, of, is_linear, least, below) \
+    m.linear = m.linear && (IS_LINEAR[AT_##name] || m.name == 0.0);
     REAL_MOTOR_NUMBERS(REAL_MOTOR_LINEAR)
     m.mean_cosine = m.turns ? sin(m.half_travel_rad) / m.half_travel_rad : 0.0;
     return m;

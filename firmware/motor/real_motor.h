@@ -20,56 +20,56 @@
 #define RIG_REAL_MOTOR_H
 
 /* The numbers, in the order of every vector and Jacobian of them: name, whether it is of a PART or of every MOTOR, whether
- * it curves the motion between two events, the least that it may be, and what it has to be below.
+ * the motion between two events stays linear, the least that it may be, and what it has to be below.
  * rig/core/motor_numbers.py says what each is; tools/motor_numbers.py makes this list of it. */
 #define REAL_MOTOR_NUMBERS(NUMBER) \
-    NUMBER(tau_s, MOTOR, 0, 0.0, INFINITY) \
-    NUMBER(K_rad_s_V, MOTOR, 0, 0.0, INFINITY) \
-    NUMBER(fc_V, MOTOR, 0, 0.0, INFINITY) \
-    NUMBER(bias_V, MOTOR, 0, -INFINITY, INFINITY) \
-    NUMBER(delay_s, MOTOR, 0, -INFINITY, INFINITY) \
-    NUMBER(dead_band_V, PART, 0, 0.0, INFINITY) \
-    NUMBER(gain_by_sign, PART, 0, -1.0, 1.0) \
-    NUMBER(sag_per_V, PART, 0, 0.0, INFINITY) \
-    NUMBER(lag_s, PART, 1, 0.0, INFINITY) \
-    NUMBER(viscous_by_direction_V_s_rad, PART, 0, -INFINITY, INFINITY) \
-    NUMBER(static_V, MOTOR, 0, 0.0, INFINITY) \
-    NUMBER(stribeck_V, MOTOR, 1, 0.0, INFINITY) \
-    NUMBER(stribeck_rad_s, MOTOR, 1, 0.0, INFINITY) \
-    NUMBER(drag_V_s2_rad2, PART, 1, 0.0, INFINITY) \
-    NUMBER(bristle_V_rad, PART, 1, 0.0, INFINITY) \
-    NUMBER(force_sin_V, PART, 1, -INFINITY, INFINITY) \
-    NUMBER(force_cos_V, PART, 1, -INFINITY, INFINITY) \
-    NUMBER(friction_sin_V, PART, 1, -INFINITY, INFINITY) \
-    NUMBER(friction_cos_V, PART, 1, -INFINITY, INFINITY) \
-    NUMBER(cogging_sin_V, PART, 1, -INFINITY, INFINITY) \
-    NUMBER(cogging_cos_V, PART, 1, -INFINITY, INFINITY) \
-    NUMBER(cogging_per_rad, PART, 1, 0.0, INFINITY) \
-    NUMBER(backlash_rad, PART, 0, 0.0, INFINITY) \
-    NUMBER(linearity_sin1_rad, PART, 0, -INFINITY, INFINITY) \
-    NUMBER(linearity_cos1_rad, PART, 0, -INFINITY, INFINITY) \
-    NUMBER(linearity_sin2_rad, PART, 0, -INFINITY, INFINITY) \
-    NUMBER(linearity_cos2_rad, PART, 0, -INFINITY, INFINITY) \
-    NUMBER(drift, PART, 0, -INFINITY, INFINITY) \
-    NUMBER(load_friction, PART, 0, 0.0, 1.0) \
-    NUMBER(load_outside, PART, 0, 0.0, INFINITY) \
-    NUMBER(viscous_share, PART, 0, 0.0, 1.0) \
-    NUMBER(source_per_V2, PART, 0, 0.0, INFINITY) \
-    NUMBER(runs_free, PART, 0, 0.0, 1.2) \
-    NUMBER(no_brake, PART, 0, 0.0, 1.2) \
-    NUMBER(free_between, PART, 0, 0.0, 1.2) \
-    NUMBER(full_drive_V, PART, 0, 0.0, INFINITY)
+    NUMBER(tau_s, MOTOR, 1, 0.0, INFINITY) \
+    NUMBER(K_rad_s_V, MOTOR, 1, 0.0, INFINITY) \
+    NUMBER(fc_V, MOTOR, 1, 0.0, INFINITY) \
+    NUMBER(bias_V, MOTOR, 1, -INFINITY, INFINITY) \
+    NUMBER(delay_s, MOTOR, 1, -INFINITY, INFINITY) \
+    NUMBER(dead_band_V, PART, 1, 0.0, INFINITY) \
+    NUMBER(gain_by_sign, PART, 1, -1.0, 1.0) \
+    NUMBER(sag_per_V, PART, 1, 0.0, INFINITY) \
+    NUMBER(lag_s, PART, 0, 0.0, INFINITY) \
+    NUMBER(viscous_by_direction_V_s_rad, PART, 1, -INFINITY, INFINITY) \
+    NUMBER(static_V, MOTOR, 1, 0.0, INFINITY) \
+    NUMBER(stribeck_V, MOTOR, 0, 0.0, INFINITY) \
+    NUMBER(stribeck_rad_s, MOTOR, 0, 0.0, INFINITY) \
+    NUMBER(drag_V_s2_rad2, PART, 0, 0.0, INFINITY) \
+    NUMBER(bristle_V_rad, PART, 0, 0.0, INFINITY) \
+    NUMBER(force_sin_V, PART, 0, -INFINITY, INFINITY) \
+    NUMBER(force_cos_V, PART, 0, -INFINITY, INFINITY) \
+    NUMBER(friction_sin_V, PART, 0, -INFINITY, INFINITY) \
+    NUMBER(friction_cos_V, PART, 0, -INFINITY, INFINITY) \
+    NUMBER(cogging_sin_V, PART, 0, -INFINITY, INFINITY) \
+    NUMBER(cogging_cos_V, PART, 0, -INFINITY, INFINITY) \
+    NUMBER(cogging_per_rad, PART, 0, 0.0, INFINITY) \
+    NUMBER(backlash_rad, PART, 1, 0.0, INFINITY) \
+    NUMBER(linearity_sin1_rad, PART, 1, -INFINITY, INFINITY) \
+    NUMBER(linearity_cos1_rad, PART, 1, -INFINITY, INFINITY) \
+    NUMBER(linearity_sin2_rad, PART, 1, -INFINITY, INFINITY) \
+    NUMBER(linearity_cos2_rad, PART, 1, -INFINITY, INFINITY) \
+    NUMBER(drift, PART, 1, -INFINITY, INFINITY) \
+    NUMBER(load_friction, PART, 1, 0.0, 1.0) \
+    NUMBER(load_outside, PART, 1, 0.0, INFINITY) \
+    NUMBER(viscous_share, PART, 1, 0.0, 1.0) \
+    NUMBER(source_per_V2, PART, 1, 0.0, INFINITY) \
+    NUMBER(runs_free, PART, 1, 0.0, 1.2) \
+    NUMBER(no_brake, PART, 1, 0.0, 1.2) \
+    NUMBER(free_between, PART, 1, 0.0, 1.2) \
+    NUMBER(full_drive_V, PART, 1, 0.0, INFINITY)
 
 /* The last four are the frame that parts over position and time refer to: constants of a fit. `delay_s` is for those who
  * know when a drive acts: no function here applies it but the readings of a record. */
-#define REAL_MOTOR_FIELD(name, of, curves, least, below) double name;
+#define REAL_MOTOR_FIELD(name, of, is_linear, least, below) double name;
 typedef struct {
     REAL_MOTOR_NUMBERS(REAL_MOTOR_FIELD)
     double centre_rad, half_travel_rad, start_s, duration_s;
 } real_motor;
 
 /* Places of the numbers. */
-#define REAL_MOTOR_PLACE(name, of, curves, least, below) AT_##name,
+#define REAL_MOTOR_PLACE(name, of, is_linear, least, below) AT_##name,
 enum { REAL_MOTOR_NUMBERS(REAL_MOTOR_PLACE) REAL_NUMBERS };
 
 /* Velocity and position of the motor's side of the backlash, friction of the bristles, drive behind its stage, and

@@ -557,7 +557,7 @@ static bool asks_of_linear(const real_columns *c)
     bool linear = c->waves == 0;
     for (int64_t i = 0; i < c->columns; i++) {
         const int64_t p = c->which[i];
-        linear = linear && (p >= REAL_NUMBERS || p == AT_lag_s || !CURVES[p]);
+        linear = linear && (p >= REAL_NUMBERS || p == AT_lag_s || IS_LINEAR[p]);
     }
     return linear;
 }

@@ -24,7 +24,7 @@ class Number(NamedTuple):
     least, above, below   bounds that the model takes: at least, above and below
     one_sided  whether no bench has it below 0, though the model takes it
     steers     whether the motor is integrated more finely where it is not 0
-    curves     whether the motion between two events is no longer linear in velocity and time where it is not 0
+    linear     whether the motion between two events stays linear in velocity and time where it is not 0
     at_rest    whether it is one of those whose sum holds a shaft at rest (docs/theory.md 8.4)
     """
 
@@ -38,7 +38,7 @@ class Number(NamedTuple):
     below: float = math.inf
     one_sided: bool = False
     steers: bool = False
-    curves: bool = False
+    linear: bool = False
     at_rest: bool = False
 
     @property
@@ -57,80 +57,83 @@ class RealMotor(NamedTuple):
     Viscous friction equal both ways is in tau and K; f_c is the mean over both directions, the run and the travel.
     """
 
-    tau_s: Annotated[float, Number("s", "time constant of the velocity", above=0.0)]
-    K_rad_s_V: Annotated[float, Number("(rad/s)/V", "velocity gain of the measured shaft", above=0.0)]
-    fc_V: Annotated[float, Number("V", "Coulomb friction", least=0.0, at_rest=True)]
+    tau_s: Annotated[float, Number("s", "time constant of the velocity", above=0.0, linear=True)]
+    K_rad_s_V: Annotated[float, Number("(rad/s)/V", "velocity gain of the measured shaft", above=0.0, linear=True)]
+    fc_V: Annotated[float, Number("V", "Coulomb friction", least=0.0, at_rest=True, linear=True)]
     bias_V: Annotated[
-        float, Number("V", "constant added to the drive; friction that differs by direction is in it")
+        float, Number("V", "constant added to the drive; friction that differs by direction is in it", linear=True)
     ] = 0.0
-    delay_s: Annotated[float, Number("s", "from a sample to the effect of its drive on the recording bench")] = 0.0
+    delay_s: Annotated[
+        float, Number("s", "from a sample to the effect of its drive on the recording bench", linear=True)
+    ] = 0.0
     dead_band_V: Annotated[
         float,
         Number(
             "V", "drive up to which the stage gives nothing; above it is missing from the drive", ("dead_band",), "d",
-            least=0.0, at_rest=True,
-        ),
+            least=0.0, at_rest=True, linear=True),
     ] = 0.0  # fmt: skip
     gain_by_sign: Annotated[
-        float, Number("1", "g: the stage gives u (1 + g sgn u)", ("gain_by_sign",), "g", above=-1.0, below=1.0)
+        float,
+        Number("1", "g: the stage gives u (1 + g sgn u)", ("gain_by_sign",), "g", above=-1.0, below=1.0, linear=True),
     ] = 0.0
-    sag_per_V: Annotated[float, Number("1/V", "s: the stage gives u (1 - s |u|)", ("sag",), "s", one_sided=True)] = 0.0
-    lag_s: Annotated[
-        float, Number("s", "time constant of the stage and the current", ("lag",), "tau_e", least=0.0, curves=True)
+    sag_per_V: Annotated[
+        float, Number("1/V", "s: the stage gives u (1 - s |u|)", ("sag",), "s", one_sided=True, linear=True)
     ] = 0.0
+    lag_s: Annotated[float, Number("s", "time constant of the stage and the current", ("lag",), "tau_e", least=0.0)] = (
+        0.0
+    )
     viscous_by_direction_V_s_rad: Annotated[
         float,
         Number(
             "V s/rad", "beta: force beta |v|, half the difference of both directions", ("viscous_by_direction",),
-            "beta", steers=True,
-        ),
+            "beta", steers=True, linear=True),
     ] = 0.0  # fmt: skip
     static_V: Annotated[
         float,
         Number(
-            "V", "by which the level at rest is above the level in motion", ("static",), "e_s", least=0.0, at_rest=True
+            "V",
+            "by which the level at rest is above the level in motion",
+            ("static",),
+            "e_s",
+            least=0.0,
+            at_rest=True,
+            linear=True,
         ),
     ] = 0.0
     stribeck_V: Annotated[
         float,
         Number(
-            "V", "e: friction e exp(-|v|/v_s) beside Coulomb friction", ("stribeck",), "e", one_sided=True, steers=True,
-            curves=True, at_rest=True,
+            "V", "e: friction e exp(-|v|/v_s) beside Coulomb friction", ("stribeck",), "e",
+            one_sided=True, steers=True, at_rest=True,
         ),
     ] = 0.0  # fmt: skip
     stribeck_rad_s: Annotated[
         float,
-        Number(
-            "rad/s", "v_s: speed of the Stribeck effect", ("stribeck",), "v_s", is_shape=True, curves=True, least=0.0
-        ),
+        Number("rad/s", "v_s: speed of the Stribeck effect", ("stribeck",), "v_s", is_shape=True, least=0.0),
     ] = 0.0
     drag_V_s2_rad2: Annotated[
-        float, Number("V s2/rad2", "c: drag c v |v|", ("drag",), "c", one_sided=True, steers=True, curves=True)
+        float, Number("V s2/rad2", "c: drag c v |v|", ("drag",), "c", one_sided=True, steers=True)
     ] = 0.0
     bristle_V_rad: Annotated[
         float,
-        Number("V/rad", "stiffness of the bristles at rest; 0: rigid", ("bristle",), "sigma_0", least=0.0, curves=True),
+        Number("V/rad", "stiffness of the bristles at rest; 0: rigid", ("bristle",), "sigma_0", least=0.0),
     ] = 0.0
     force_sin_V: Annotated[
-        float, Number("V", f"force over position: {_SINE}", ("force_over_position",), "A", steers=True, curves=True)
+        float, Number("V", f"force over position: {_SINE}", ("force_over_position",), "A", steers=True)
     ] = 0.0
     force_cos_V: Annotated[
-        float, Number("V", f"force over position: {_COSINE}", ("force_over_position",), "B", steers=True, curves=True)
+        float, Number("V", f"force over position: {_COSINE}", ("force_over_position",), "B", steers=True)
     ] = 0.0
     friction_sin_V: Annotated[
         float,
-        Number("V", f"friction over position: {_SINE}", ("friction_over_position",), "A", steers=True, curves=True),
+        Number("V", f"friction over position: {_SINE}", ("friction_over_position",), "A", steers=True),
     ] = 0.0
     friction_cos_V: Annotated[
         float,
-        Number("V", f"friction over position: {_COSINE}", ("friction_over_position",), "B", steers=True, curves=True),
+        Number("V", f"friction over position: {_COSINE}", ("friction_over_position",), "B", steers=True),
     ] = 0.0
-    cogging_sin_V: Annotated[
-        float, Number("V", "cogging: times sin(n y)", ("cogging",), "A", steers=True, curves=True)
-    ] = 0.0
-    cogging_cos_V: Annotated[
-        float, Number("V", "cogging: times cos(n y)", ("cogging",), "B", steers=True, curves=True)
-    ] = 0.0
+    cogging_sin_V: Annotated[float, Number("V", "cogging: times sin(n y)", ("cogging",), "A", steers=True)] = 0.0
+    cogging_cos_V: Annotated[float, Number("V", "cogging: times cos(n y)", ("cogging",), "B", steers=True)] = 0.0
     cogging_per_rad: Annotated[
         float,
         Number(
@@ -139,74 +142,89 @@ class RealMotor(NamedTuple):
             ("cogging",),
             "n",
             is_shape=True,
-            curves=True,
             one_sided=True,
         ),
     ] = 0.0
     backlash_rad: Annotated[
-        float, Number("rad", "whole width of the play between motor and sensor", ("backlash",), least=0.0)
+        float, Number("rad", "whole width of the play between motor and sensor", ("backlash",), least=0.0, linear=True)
     ] = 0.0
     linearity_sin1_rad: Annotated[
-        float, Number("rad", f"{_CURVE} one sine over the travel, less its line", ("linearity",))
+        float, Number("rad", f"{_CURVE} one sine over the travel, less its line", ("linearity",), linear=True)
     ] = 0.0
-    linearity_cos1_rad: Annotated[float, Number("rad", f"{_CURVE} one cosine", ("linearity",))] = 0.0
-    linearity_sin2_rad: Annotated[float, Number("rad", f"{_CURVE} two sines, less their line", ("linearity",))] = 0.0
-    linearity_cos2_rad: Annotated[float, Number("rad", f"{_CURVE} two cosines", ("linearity",))] = 0.0
+    linearity_cos1_rad: Annotated[float, Number("rad", f"{_CURVE} one cosine", ("linearity",), linear=True)] = 0.0
+    linearity_sin2_rad: Annotated[
+        float, Number("rad", f"{_CURVE} two sines, less their line", ("linearity",), linear=True)
+    ] = 0.0
+    linearity_cos2_rad: Annotated[float, Number("rad", f"{_CURVE} two cosines", ("linearity",), linear=True)] = 0.0
     drift: Annotated[
         float,
-        Number("1", "relative change of Coulomb friction from the start of the tests to their end", ("drift",), "d"),
+        Number(
+            "1",
+            "relative change of Coulomb friction from the start of the tests to their end",
+            ("drift",),
+            "d",
+            linear=True,
+        ),
     ] = 0.0
     load_friction: Annotated[
         float,
         Number(
             "1", "L: friction L |p + l G| beside Coulomb friction, of torque p and force over position G",
-            ("load_friction",), "L", least=0.0, below=1.0, steers=True,
-        ),
+            ("load_friction",), "L", least=0.0, below=1.0, steers=True, linear=True),
     ] = 0.0  # fmt: skip
     load_outside: Annotated[
         float,
         Number(
-            "1", "l: share of the force over position that it sees", ("load_friction",), "l", is_shape=True, least=0.0
+            "1",
+            "l: share of the force over position that it sees",
+            ("load_friction",),
+            "l",
+            is_shape=True,
+            least=0.0,
+            linear=True,
         ),
     ] = 0.0
     viscous_share: Annotated[
         float,
         Number(
             "1", "r: share of 1/K that is viscous friction; the rest is back-EMF", ("load_friction", "source"), "r",
-            is_shape=True, least=0.0, below=1.0,
-        ),
+            is_shape=True, least=0.0, below=1.0, linear=True),
     ] = 0.0  # fmt: skip
     source_per_V2: Annotated[
         float,
-        Number("1/V2", "rho: torque p = (w - (1 - r) v/K) / (1 + rho w^2)", ("source",), "rho", least=0.0, steers=True),
+        Number(
+            "1/V2",
+            "rho: torque p = (w - (1 - r) v/K) / (1 + rho w^2)",
+            ("source",),
+            "rho",
+            least=0.0,
+            steers=True,
+            linear=True,
+        ),
     ] = 0.0
     runs_free: Annotated[
         float,
         Number(
             "1", "f: share of the torque p that is missing at a drive of 0", ("runs_free",), "f", least=0.0, below=1.2,
-            steers=True,
-        ),
+            steers=True, linear=True),
     ] = 0.0  # fmt: skip
     no_brake: Annotated[
         float,
         Number(
             "1", "b: share that is missing of a torque p against the drive, or without one", ("no_brake",), "b",
-            least=0.0, below=1.2, steers=True,
-        ),
+            least=0.0, below=1.2, steers=True, linear=True),
     ] = 0.0  # fmt: skip
     free_between: Annotated[
         float,
         Number(
             "1", "c: share of the back-EMF that brakes only while a pulse is on, for |w|/U of the time",
-            ("free_between",), "c", least=0.0, below=1.2, steers=True,
-        ),
+            ("free_between",), "c", least=0.0, below=1.2, steers=True, linear=True),
     ] = 0.0  # fmt: skip
     full_drive_V: Annotated[
         float,
         Number(
             "V", "U: drive at which the pulses meet; tau and K are those of it", ("free_between",), "U", is_shape=True,
-            least=0.0,
-        ),
+            least=0.0, linear=True),
     ] = 0.0  # fmt: skip
 
 

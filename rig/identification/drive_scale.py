@@ -104,6 +104,13 @@ def by_filter(answer: Answer, lag_s: float, left: float = 0.0, moves: tuple[floa
     return _widened(answer, {"tau_s": share, "K_rad_s_V": moves[0] if answer.u95 else 0.0, "fc_V": of_fc}, reasons)
 
 
+def by_bends(answer: Answer, moves: tuple[float, float, float]) -> Answer:
+    """The answer with what is not known of the bends between samples: of tau and K, of themselves, and of f_c, V."""
+    fc_V = abs(known(answer.value("fc_V")))
+    shares = {"tau_s": moves[0], "K_rad_s_V": moves[1], "fc_V": moves[2] / fc_V if fc_V > 0.0 else 0.0}
+    return _widened(answer, shares if answer.u95 else {}, [])
+
+
 def by_steps(answer: Answer, step_V: float, largest_V: float) -> Answer:
     """The answer with what a drive rounded to steps leaves unknown: friction by half a step if it is cut off."""
     fc_V, share = abs(known(answer.value("fc_V"))), step_V / largest_V

@@ -148,12 +148,15 @@ def plain_in_pieces(
     bridge: Mapping[str, float] = NOTHING,
     walks: Sequence[TimeSeries] = (),
     iterations: int = PIECE_ITERATIONS,
+    *,
+    starts_alone: bool = False,
 ) -> Fit:
     """The plain motor, begun at ``plain``, on pieces of half a second.
 
     bridge   sizes of laws of a bridge that it stands behind, to begin with: where it does not brake, the plain tau is
              next to nothing at times
     walks    these tests as they were logged, where the fit heeds that noise adds up in them
+    starts_alone   the motor is ``plain``, and only where each piece starts is fitted
 
     Raises IdentifyError if a test is too short.
     """
@@ -162,13 +165,15 @@ def plain_in_pieces(
     delay_s = delays_of_all_s(tests)
     cut = Cut.whole(thin, delay_s[1]).every(PIECE_S)
     free = tuple(name for name in (*CORE, DELAY) if name != "bias_V" or not one_way(thin))
-    motor = RealMotor(plain.tau_s, plain.K_rad_s_V, max(plain.fc_V, 0.0), plain.asym_V, max(plain.delay_s, 0.0))
+    late_s = plain.delay_s if starts_alone else max(plain.delay_s, 0.0)
+    motor = RealMotor(plain.tau_s, plain.K_rad_s_V, max(plain.fc_V, 0.0), plain.asym_V, late_s)
     most_V = max(float(np.abs(test.u_V).max()) for test in thin)
     sizes = [name for name in bridge if not NUMBERS[name].is_shape]
     limits = limits_of(free, cut, delay_s)
     limits |= {name: (0.0, most_V) if name == DEAD_BAND else FREE for name in sizes}
     sigma = 1e-3 * cut.frames[0].half_travel_rad
-    problem = Problem(cut, (*free, *sizes), limits, sigma, noise=noise_of_sensor(walks, sigma))
+    fitted = () if starts_alone else (*free, *sizes)
+    problem = Problem(cut, fitted, limits, sigma, noise=noise_of_sensor(walks, sigma))
     if bridge:
         motor = motor._replace(tau_s=max(plain.tau_s, 4.0 * thin[0].period_s), **bridge)
     return solve(begin(problem, motor), iterations, ROUGHLY)

@@ -343,13 +343,13 @@ void bench_defaults(bench_params *p)
 /* Of the motor's numbers those of its parts: the others are the bench's own. */
 #define OPTION_MOTOR(name)
 #define OPTION_PART(name) {#name, REAL, offsetof(bench_params, real.name)},
-#define OPTION(name, of, curves, least, below) OPTION_##of(name)
+#define OPTION(name, of, is_linear, least, below) OPTION_##of(name)
 #define IN_RANGE_MOTOR(name, least, below)
 #define IN_RANGE_PART(name, least, below) \
     if (!(p->real.name >= (least) && p->real.name < (below))) { \
         return #name " must be at least " #least " and below " #below; \
     }
-#define IN_RANGE(name, of, curves, least, below) IN_RANGE_##of(name, least, below)
+#define IN_RANGE(name, of, is_linear, least, below) IN_RANGE_##of(name, least, below)
 
 enum kind { REAL, INTEGER, UNSIGNED, DRIVE_WIRING, SENSOR_WIRING };
 
