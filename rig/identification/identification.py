@@ -40,7 +40,7 @@ from rig.identification.plausibility import hole_rows, is_cut_off, judge_motor, 
 from rig.identification.preprocessing import from_recording
 from rig.identification.records import left_out, require_known
 from rig.identification.sampled_data_verdict import is_early, judge_with_laws, late_s, slipped_rms_rad
-from rig.identification.sampled_velocity import SAID, bends
+from rig.identification.sampled_velocity import bends
 from rig.identification.side_by_side import on_all_cores
 from rig.identification.smoothing import smoothings
 from rig.identification.stroke_delay import strokes_delay
@@ -337,7 +337,7 @@ def _takes_change(data: Measurements, estimate: Estimate | None) -> bool:
     is_bent = bent is not None and not any(smoothed)
     if bent is not None and is_bent:
         mended = dict(zip(map(id, data.tests), bent.tests, strict=True))
-        data.take(lambda test: mended[id(test)], SAID)
+        data.take(lambda test: mended[id(test)], bent.words)
         data.unsure.append(partial(by_bends, moves=bent.moves))
     if math.isfinite(limit.drive_V):
         data.take(partial(clipped, limit=limit), limit.in_words())
