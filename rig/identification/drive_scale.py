@@ -18,6 +18,7 @@ from typing import Final
 
 import numpy as np
 
+from rig.core.arrays import Array
 from rig.identification.motor_law import GRADES, NOT_KNOWN
 from rig.identification.verdict import ASKED, in_percent
 from rig.run_folder.recording.series import TimeSeries
@@ -102,6 +103,31 @@ def by_filter(answer: Answer, lag_s: float, left: float = 0.0, moves: tuple[floa
     fc_V = abs(known(answer.value("fc_V")))
     of_fc = moves[1] / fc_V if answer.u95 and fc_V > 0.0 else 0.0
     return _widened(answer, {"tau_s": share, "K_rad_s_V": moves[0] if answer.u95 else 0.0, "fc_V": of_fc}, reasons)
+
+
+def by_bends(answer: Answer, names: Sequence[str], grows: Array) -> Answer:
+    """The answer with what the motion between samples leaves unknown, as its scatter says: it came from the motor.
+
+    names   of numbers
+    grows   what an error of each makes of them, once the motion between samples errs as they do
+    """
+    at = [answer.covariance_of.index(name) if name in answer.covariance_of else -1 for name in names]
+    if answer.covariance is None or min(at[:2]) < 0 or not answer.u95:
+        return answer
+    table = np.pad(np.array(answer.covariance, dtype=float), (0, 1))[np.ix_(at, at)]  # of what was not fitted: 0
+    more = 2.0 * np.sqrt(np.maximum(np.diag(grows @ table @ grows.T - table), 0.0))
+    shares = {
+        name: float(one) / abs(known(answer.value(name)))
+        for name, one in zip(names, more, strict=True)
+        if name in answer.u95 and known(answer.value(name)) != 0.0
+    }
+    reasons = [
+        f"between samples so far apart the motor alone says what the velocity did, so {name.split('_')[0]} may be "
+        f"{in_percent(share)} off: log the position, or sample faster"
+        for name, share in shares.items()
+        if share > ASKED
+    ]
+    return _widened(answer, shares, reasons)
 
 
 def by_steps(answer: Answer, step_V: float, largest_V: float) -> Answer:

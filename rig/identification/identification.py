@@ -16,7 +16,15 @@ from rig.identification.agreement import are_one_motor, disagreement, estimates_
 from rig.identification.breakaway import StaticFriction, breakaway
 from rig.identification.clipped_drive import clipped, limit_of
 from rig.identification.departures.laws import LEVEL_EACH
-from rig.identification.drive_scale import OF_FILTER, by_filter, by_own_loop, by_speed_limit, by_steps, hidden_step_V
+from rig.identification.drive_scale import (
+    OF_FILTER,
+    by_bends,
+    by_filter,
+    by_own_loop,
+    by_speed_limit,
+    by_steps,
+    hidden_step_V,
+)
 from rig.identification.estimate import VERDICTS, Estimate
 from rig.identification.estimator import Estimator
 from rig.identification.friction_map import FrictionMap, friction_map
@@ -32,7 +40,7 @@ from rig.identification.plausibility import hole_rows, is_cut_off, judge_motor, 
 from rig.identification.preprocessing import from_recording
 from rig.identification.records import left_out, require_known
 from rig.identification.sampled_data_verdict import is_early, judge_with_laws, late_s, slipped_rms_rad
-from rig.identification.sampled_velocity import SAID, with_bends
+from rig.identification.sampled_velocity import NUMBERS, SAID, with_bends
 from rig.identification.side_by_side import on_all_cores
 from rig.identification.smoothing import smoothings
 from rig.identification.stroke_delay import strokes_delay
@@ -321,14 +329,16 @@ def _takes_change(data: Measurements, estimate: Estimate | None) -> bool:
         if estimate.spoiled and is_reversed(data.tests):
             return False
         limit = limit_of(data.tests, estimate)
-        bent, rad = with_bends(data.tests, estimate)
-        smoothed = smoothings(data.tests, estimate, rad) if math.isinf(limit.drive_V) else []
+        bends = with_bends(data.tests, estimate)
+        otherwise_rad = math.inf if bends is None else bends.rad
+        smoothed = smoothings(data.tests, estimate, otherwise_rad) if math.isinf(limit.drive_V) else []
     except IdentifyError:
         return False  # too short for pieces
-    is_bent = math.isfinite(rad) and not any(smoothed)
-    if is_bent:
-        mended = dict(zip(map(id, data.tests), bent, strict=True))
+    is_bent = bends is not None and not any(smoothed)
+    if bends is not None and is_bent:
+        mended = dict(zip(map(id, data.tests), bends.tests, strict=True))
         data.take(lambda test: mended[id(test)], SAID)
+        data.unsure.append(partial(by_bends, names=NUMBERS, grows=bends.grows))
     if math.isfinite(limit.drive_V):
         data.take(partial(clipped, limit=limit), limit.in_words())
         data.unsure += [by_speed_limit] if limit.from_rad_s > 0.0 else []

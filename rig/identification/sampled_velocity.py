@@ -2,8 +2,8 @@
 
 A log of sampled velocities is summed up by the trapezoid rule. After each step of the drive a quick motor bends between
 two rows, and the sum is off by a share of some (period / tau)^2 / 12: K and tau with it. A motor says how its velocity
-went in between, so the sum is mended by that of the motor that explains pieces of the tests, and the motor is fitted
-again, until both agree.
+went in between. So the sum is mended by that of the motor that explains pieces of what was mended: by it and by nearby
+ones it is told where both agree, and how much a fit's errors grow by the bends that err with them.
 """
 
 from __future__ import annotations
@@ -11,51 +11,89 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from rig.core.arrays import Array
+from rig.identification.departures.fit import Fit
 from rig.identification.estimate import Estimate
 from rig.identification.in_pieces import plain_in_pieces
 from rig.model.compiled import motion
 from rig.model.motor import Motor
 from rig.run_folder.recording.series import TimeSeries
 
-ROUNDS, AGREES = 12, 2e-4  # of tau
+ROUNDS, AGREES, ASIDE = 12, 1e-3, 0.02  # of a number's size: the last step, and how far beside the numbers it is tried
 CHANCE = 4.0  # by how much twice the log likelihood may fall, at most
+NUMBERS = ("tau_s", "K_rad_s_V", "fc_V", "asym_V", "delay_s")
 SAID = "between the samples of the velocity the motor bends, which their sum misses: put right before the fit"
 
 
-def with_bends(tests: Sequence[TimeSeries], plain: Estimate) -> tuple[list[TimeSeries], float]:
-    """The tests with what the motor did between samples, and what it leaves of their pieces, rad.
+class Bends(NamedTuple):
+    """What a motor did between samples.
 
-    As they are, with inf, where they are no samples, or where a motor explains them worse with that. Raises
+    tests   with that
+    rad     what the motor leaves of pieces of them, rad
+    grows   (5, 5) what errors of a fit to them make of ``NUMBERS``: the bends err as they do
+    """
+
+    tests: Sequence[TimeSeries]
+    rad: float
+    grows: Array
+
+
+def with_bends(tests: Sequence[TimeSeries], plain: Estimate) -> Bends | None:
+    """The tests with what the motor did between samples, such that the motor fitted to them does just that.
+
+    None where they are no samples, where no motor does, or where one explains them worse with that. Raises
     IdentifyError if a test is too short for pieces.
     """
     if not plain.is_motor or any(test.reads != "samples" for test in tests):
-        return list(tests), math.inf
+        return None
+    largest_V = max(float(np.abs(test.u_V).max()) for test in tests)
+    sizes = np.array([plain.tau_s, abs(plain.K_rad_s_V), largest_V, largest_V, plain.tau_s])
+
+    def fitted(at: Array) -> tuple[Array, Fit, list[TimeSeries]]:
+        tau_s, K_rad_s_V, fc_V, asym_V, delay_s = (at * sizes).tolist()
+        begin = replace(plain, tau_s=tau_s, K_rad_s_V=K_rad_s_V, fc_V=max(fc_V, 0.0), asym_V=asym_V, delay_s=delay_s)
+        bent = [replace(test, y_rad=test.y_rad + bends_rad(test, begin.motor(), begin.delay_s)) for test in tests]
+        fit = plain_in_pieces(bent, begin, walks=tests)
+        return _numbers(fit) / sizes, fit, bent
+
+    def turning(at: Array, became: Array) -> Array:
+        """(5, 5) what the difference of ``became`` and ``at`` does over ``at``."""
+        beside = [fitted(at + ASIDE * axis)[0] - became for axis in np.eye(len(NUMBERS))]
+        return np.stack(beside, axis=1) / ASIDE - np.eye(len(NUMBERS))
+
     without = plain_in_pieces(tests, plain, walks=tests)
-    at, bent, fit = plain, list(tests), without
+    at = fitted(_numbers(without) / sizes)[0]
+    became, fit, bent = fitted(at)
+    off, turns = became - at, turning(at, became)
     for _ in range(ROUNDS):
-        motor, delay_s = at.motor(), at.delay_s if math.isfinite(at.delay_s) else 0.0
-        bent = [replace(test, y_rad=test.y_rad + bends_rad(test, motor, delay_s)) for test in tests]
-        fit = plain_in_pieces(bent, at, walks=tests)
-        found, before_s = fit.motor, at.tau_s
-        at = replace(
-            at,
-            tau_s=found.tau_s,
-            K_rad_s_V=found.K_rad_s_V,
-            fc_V=found.fc_V,
-            asym_V=found.bias_V,
-            delay_s=found.delay_s,
-        )
-        if abs(found.tau_s / before_s - 1.0) < AGREES:
+        step = -np.linalg.lstsq(turns, off, rcond=None)[0]
+        if np.abs(step).max() < AGREES:
             break
+        at = at + step
+        if not at[0] > 0.0 or not at[1] > 0.0:
+            return None
+        became, fit, bent = fitted(at)
+        turns += np.outer(became - at - off - turns @ step, step) / float(step @ step)  # Broyden, Math. Comput. 1965
+        off = became - at
+    else:
+        return None
     # in units of the same walk
     costs = [one.cost * one.problem.sigma_rad**2 for one in (fit, without)]
     if fit.residual_rad.size * math.log(costs[0] / costs[1]) > CHANCE:
-        return list(tests), math.inf
-    return bent, plain_in_pieces(bent, at).rms_rad
+        return None
+    rad = plain_in_pieces(bent, plain).rms_rad
+    grows = np.asarray(-np.linalg.pinv(turning(at, became)) * np.outer(sizes, 1.0 / sizes), dtype=np.float64)
+    return Bends(bent, rad, grows)
+
+
+def _numbers(fit: Fit) -> Array:
+    """(5,) ``NUMBERS`` of a fit."""
+    motor = fit.motor
+    return np.array([motor.tau_s, motor.K_rad_s_V, motor.fc_V, motor.bias_V, motor.delay_s])
 
 
 def bends_rad(test: TimeSeries, motor: Motor, delay_s: float) -> Array:

@@ -529,14 +529,22 @@ def test_noise_of_a_sampled_velocity_adds_up_and_is_no_law_of_the_motor(tmp_path
     assert not any("the sensor's noise" in reason for reason in found.answer.reasons)
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.01])
-def test_a_quick_motor_bends_between_the_samples_of_its_velocity(noise: float, tmp_path: Path) -> None:
-    """Summed up as if it went straight, tau was 1.3 % off beside 5 without noise, 7 beside 17 with it."""
-    motor, period_s = RealMotor(0.02, 8.0, 0.5), 0.01
-    t_s = period_s * np.arange(1500)
+@pytest.mark.parametrize(("noise", "period_s", "tau_off"), [(0.0, 0.01, 0.002), (0.01, 0.01, 0.02), (0.0, 0.02, 0.003)])
+def test_a_quick_motor_bends_between_the_samples_of_its_velocity(
+    noise: float, period_s: float, tau_off: float, tmp_path: Path
+) -> None:
+    """Summed up as if it went straight, tau was 1.3 % off beside 5 without noise, 7 beside 17 with it.
+
+    With samples a time constant apart each round of fits alone mended a tenth of that: tau stayed 1 to 11 % too short.
+    """
+    motor = RealMotor(0.02, 8.0, 0.5)
+    t_s = period_s * np.arange(1500, dtype=np.float64)
     u_V = np.repeat([6.0, -6.0, 3.0, -3.0, 4.5, -4.5] * 25, 10)
+    if period_s == motor.tau_s:
+        sines = zip((25.1, 56.5, 106.8), (3.0, 1.8, 1.2), strict=True)
+        u_V = np.round(sum((most * np.sin(pace * t_s) for pace, most in sines), np.zeros(t_s.size)), 3)
     both_s = np.sort(np.concatenate((t_s, t_s + 1e-5)))
-    y_rad = response(motor, Frame(duration_s=15.1), (t_s + 0.004, u_V), both_s, Pieces.one())
+    y_rad = response(motor, Frame(duration_s=30.2), (t_s + 0.004, u_V), both_s, Pieces.one())
     v_rad_s = (y_rad[1::2] - y_rad[::2]) / 1e-5
     v_rad_s += noise * np.abs(v_rad_s).max() * np.random.default_rng(7).standard_normal(v_rad_s.size)
     log = tmp_path / "tacho.csv"
@@ -544,7 +552,7 @@ def test_a_quick_motor_bends_between_the_samples_of_its_velocity(noise: float, t
     found = identify(read_all(log, LogFormat(LogColumn("s"), LogColumn("V"), velocity=LogColumn("rad/s"))))
     assert any("between the samples" in note for note in found.notes)
     assert found.answer is not None and found.answer.verdict == "ok"
-    assert right(found.answer, motor, 0.002 if noise == 0.0 else 0.02, "tau_s", "K_rad_s_V")
+    assert right(found.answer, motor, tau_off, "tau_s", "K_rad_s_V")
 
 
 def test_noise_that_adds_up_is_not_white_and_a_law_of_a_sampled_velocity_must_show_in_blocks(tmp_path: Path) -> None:
