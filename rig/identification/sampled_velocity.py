@@ -26,7 +26,27 @@ from rig.run_folder.recording.series import TimeSeries
 ROUNDS, AGREES, ASIDE = 12, 1e-3, 0.02  # of a number's size: the last step, and how far beside the numbers it is tried
 CHANCE = 4.0  # by how much twice the log likelihood may fall, at most
 NUMBERS = ("tau_s", "K_rad_s_V", "fc_V", "asym_V", "delay_s")
+HALF_A_ROW = (0.3, 0.7)  # of a period that the drive acts before its row
+SAID_SAMPLES = (
+    "the drive would act half a row too early if each velocity were a mean since the row before: it is a sample"
+)
 SAID = "between the samples of the velocity the motor bends, which their sum misses: put right before the fit"
+
+
+def are_samples(tests: Sequence[TimeSeries], plain: Estimate) -> bool:
+    """Whether velocities that were taken for means since the row before are samples: rounded, or held over rows.
+
+    Summed up as means they are half a row ahead, and so the drive would act before its row.
+    """
+    early = -plain.delay_s / max(test.period_s for test in tests)
+    of_speed = all(test.reads == "speed" and test.t_u_s is None for test in tests)
+    return of_speed and plain.is_motor and HALF_A_ROW[0] < early < HALF_A_ROW[1]
+
+
+def as_sampled(test: TimeSeries) -> TimeSeries:
+    """A sum of velocities as means, as that of samples, between which they change evenly."""
+    moved_rad = np.diff(test.y_rad, prepend=2.0 * test.y_rad[0] - test.y_rad[1])
+    return replace(test, y_rad=test.y_rad - 0.5 * moved_rad, reads="samples")
 
 
 class Bends(NamedTuple):

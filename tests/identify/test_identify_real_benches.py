@@ -555,6 +555,26 @@ def test_a_quick_motor_bends_between_the_samples_of_its_velocity(
     assert right(found.answer, motor, tau_off, "tau_s", "K_rad_s_V")
 
 
+@pytest.mark.parametrize("of_samples", [True, False])
+def test_whole_numbers_of_a_velocity_are_samples_where_means_would_come_before_their_drive(
+    of_samples: bool, tmp_path: Path
+) -> None:
+    """Taken as means of rows, tau of such a log was 3.9 % off beside 1.8 %, and the drive seemed half a row early."""
+    motor, period_s = RealMotor(0.05, 8.0, 0.5), 0.02
+    t_s = period_s * np.arange(900, dtype=np.float64)
+    u_V = np.repeat(np.random.default_rng(2).uniform(-6.0, 6.0, 90), 10)
+    apart_s = 1e-5 if of_samples else period_s
+    ends = period_s * np.arange(1, 901)
+    at_s = np.sort(np.concatenate((ends - apart_s, ends))) if of_samples else np.append(0.0, ends)
+    moved_rad = np.diff(response(motor, Frame(duration_s=18.1), (t_s + period_s, u_V), at_s, Pieces.one()))
+    rpm = np.round(moved_rad[:: 2 if of_samples else 1] / apart_s * 30.0 / np.pi)
+    log = tmp_path / "rpm.csv"
+    log.write_text("".join(f"{t:.3f},{u:.4f},{v:.0f}\n" for t, u, v in zip(t_s, u_V, rpm, strict=True)))
+    found = identify(read_all(log, LogFormat(LogColumn("s"), LogColumn("V"), velocity=LogColumn("rpm"))))
+    assert any("it is a sample" in note for note in found.notes) is of_samples
+    assert found.answer is not None and right(found.answer, motor, 0.01, "tau_s", "K_rad_s_V")
+
+
 def test_noise_that_adds_up_is_not_white_and_a_law_of_a_sampled_velocity_must_show_in_blocks(tmp_path: Path) -> None:
     """A fit that left no more than such noise kept any law: friction of a gear, or a dead band with f_c 1.2 % off."""
     motor, random = RealMotor(0.331, 3.94, 1.34), np.random.default_rng(5)
