@@ -15,7 +15,7 @@ pytestmark = pytest.mark.long
 
 ROOT = Path(__file__).parents[2]
 ROW = """    fan_V_s3_rad3: Annotated[
-        float, Number("V s3/rad3", "k: drag k v^3", ("fan",), "k", one_sided=True, steers=True)
+        float, Number("V s3/rad3", "k: drag k v^3", ("fan",), "k", one_sided=True, steers=True, curves=True)
     ] = 0.0
 """
 TERM = {
