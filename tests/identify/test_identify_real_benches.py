@@ -247,7 +247,7 @@ def test_a_drive_of_the_wrong_sign_is_told_from_a_reading_that_lags_and_from_a_l
         assert not is_reversed([TimeSeries(t_s, y, None, u_V)])
     for y in (y_rad, hangs):
         assert is_reversed([TimeSeries(t_s, y, None, -u_V)])
-    at_s = 0.07 * np.arange(405)  # a kick that is braked in the next row, and a rest
+    at_s = 0.07 * np.arange(405, dtype=np.float64)  # a kick that is braked in the next row, and a rest
     kicks_V = np.resize(np.pad([6.0, -5.0], (0, 25)), at_s.size) * np.resize(np.repeat([1.0, -1.0], 27), at_s.size)
     turned_rad = response(RealMotor(0.1, 8.0, 1.0), Frame(duration_s=28.3), (at_s, kicks_V), at_s, starts)
     assert not is_reversed([TimeSeries(at_s, turned_rad, None, kicks_V)])
