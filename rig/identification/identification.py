@@ -40,7 +40,7 @@ from rig.identification.plausibility import hole_rows, is_cut_off, judge_motor, 
 from rig.identification.preprocessing import from_recording
 from rig.identification.records import left_out, require_known
 from rig.identification.sampled_data_verdict import is_early, judge_with_laws, late_s, slipped_rms_rad
-from rig.identification.sampled_velocity import bends
+from rig.identification.sampled_velocity import SAID_SAMPLES, are_samples, as_sampled, bends
 from rig.identification.side_by_side import on_all_cores
 from rig.identification.smoothing import smoothings
 from rig.identification.stroke_delay import strokes_delay
@@ -246,6 +246,10 @@ def _identified(asked: _Asked, data: Measurements) -> Identification:
     found, errors = estimated()
     leading = found.estimates.get(LEADING)
     if leading is not None and _tells_no_motor(leading, data) and data.take_searches():
+        found, errors = estimated()
+    leading = found.estimates.get(LEADING)
+    if leading is not None and are_samples(data.tests, leading):
+        data.take(as_sampled, SAID_SAMPLES)
         found, errors = estimated()
     if _takes_delay(data, found.estimates.get(LEADING), recordings):
         found, errors = estimated()

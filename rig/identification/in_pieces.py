@@ -205,8 +205,11 @@ def balanced(cut: Cut, length_s: float, free: Sequence[str], delay_s: float) -> 
 def is_reversed(tests: Sequence[TimeSeries]) -> bool:
     """Whether the drive of the tests has the wrong sign: speed and acceleration both go against it, and explain it.
 
-    Behind a filter the speed of a quick swing goes against it, too; but then the acceleration goes along.
+    Behind a filter the speed of a quick swing goes against it, too; but then the acceleration goes along. A loop that
+    brakes a motor which mostly stands looks alike in stretches: but friction takes no work from it.
     """
+    if sum(float(test.u_V[:-1] @ np.diff(test.y_rad)) for test in tests) > 0.0:
+        return False
     table, u_V = _all_stretches(Cut.whole(tests, 0.0), STRETCHES_S[1], 0.0)
     found = np.linalg.lstsq(table, u_V, rcond=None)[0]
     left = float(np.var(u_V - table @ found))

@@ -32,6 +32,10 @@ STEPS = (0.1, 0.1, 0.01, 0.01, 0.1, 0.1)  # of log tau, log K; f_c, a, of the la
 LARGEST = 20.0  # log tau or log K, of any motor
 LONGEST_ROWS = 5.0  # of such a low pass
 COVERAGE = 2.0
+HALF_A_ROW = (0.3, 0.7)  # of a period that the drive acts before its row
+SAID_SAMPLES = (
+    "the drive would act half a row too early if each velocity were a mean since the row before: it is a sample"
+)
 KNOWN = 0.1  # of the lag: in 20 made logs whose velocities were low-passed counts, tau was off by less in 19
 SAID = "between the samples of the velocity the motor bends, which their sum misses: put right before the fit"
 LAGS = "the velocity is low-passed by {ms:.2g} ms: that, and what the sum of its samples misses, is put right"
@@ -156,3 +160,19 @@ def bends_rad(test: TimeSeries, motor: Motor, delay_s: float, lag_s: float = 0.0
         v = v_rad_per_s + filtered([1.0 - keep], [-keep], (v - v_rad_per_s)[:, None])[:, 0]
     summed = np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(test.t_s))
     return np.asarray(y - y[0] - np.concatenate(([0.0], summed)))
+
+
+def are_samples(tests: Sequence[TimeSeries], plain: Estimate) -> bool:
+    """Whether velocities that were taken for means since the row before are samples: rounded, or held over rows.
+
+    Summed up as means they are half a row ahead, and so the drive would act before its row.
+    """
+    early = -plain.delay_s / max(test.period_s for test in tests)
+    of_speed = all(test.reads == "speed" and test.t_u_s is None for test in tests)
+    return of_speed and plain.is_motor and HALF_A_ROW[0] < early < HALF_A_ROW[1]
+
+
+def as_sampled(test: TimeSeries) -> TimeSeries:
+    """A sum of velocities as means, as that of samples, between which they change evenly."""
+    moved_rad = np.diff(test.y_rad, prepend=2.0 * test.y_rad[0] - test.y_rad[1])
+    return replace(test, y_rad=test.y_rad - 0.5 * moved_rad, reads="samples")

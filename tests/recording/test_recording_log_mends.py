@@ -239,6 +239,21 @@ def test_a_velocity_without_its_sign_is_refused(tmp_path: Path, bench: Bench, ro
         read(path, SPEED)
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+def test_a_velocity_that_is_cut_off_is_refused(tmp_path: Path, bench: Bench, noise: float) -> None:
+    """Summed up, K of such a log was up to 90 % off, and graded."""
+    v = bench.v_rad_per_s + noise * np.random.default_rng(5).standard_normal(bench.ms.size)
+    columns, log = (
+        {"ms": bench.ms, "volts": bench.pwm * 12.0 / 255.0},
+        LogFormat(LogColumn("ms"), LogColumn("V"), velocity=LogColumn("rad/s")),
+    )
+    for digits in (2, 9):  # a motor stays at its largest speed, too, to a few digits
+        read(log_of(tmp_path, columns | {"vel": np.round(v, digits)}), log)
+    end = 0.6 * float(np.abs(v).max())
+    with pytest.raises(RecordingError, match="it is cut off"):
+        read(log_of(tmp_path, columns | {"vel": np.clip(v, -end, end)}), log)
+
+
 @given(
     st.lists(st.tuples(st.floats(-9.0, 9.0), st.integers(1, 30)), min_size=1, max_size=12), st.floats(0.01, 0.5),
     st.floats(0.0, 2.0),

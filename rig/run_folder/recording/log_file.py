@@ -286,6 +286,12 @@ def _summed(
             "the velocity jumps by most of what a number of 16 bits can be: it wraps, and nobody can tell how often",
             "log it as a number of 32 bits, or log the position",
         )
+    if (end := log_mends.cut_off_at(unwrapped)) is not None:
+        raise RecordingError(
+            path,
+            f"the velocity jumps to {end:.5g} again and again, and stays there to the last digit: it is cut off",
+            "record with smaller drives, let the sensor or its number reach farther, or log the position",
+        )
     scale = log.scale("velocity", column.unit)
     return log_mends.summed_up(scale * unwrapped, t_s, notes, 0.5 * abs(scale) * log_mends.last_digit(unwrapped))
 

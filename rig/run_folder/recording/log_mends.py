@@ -38,6 +38,9 @@ _FAR_ROWS = 5  # that rows out of order may be from their place
 _FALLS = 0.2  # share of rows in which the time since the row before is shorter than that of the row before
 _BEGINS_PERIODS = 3.0  # from the first run's time: where another run begins
 _FEWEST_HELD, _HELD = 20, 0.97  # changes of a velocity, and the share at whole multiples of rows, for it to be held
+# Of a velocity that is cut off: rows in a row, and in all, at the end of its range; the least jump to it, in steps of
+# its numbers; share of such stays elsewhere, at most
+_STAYS, _CUT_ROWS, _JUMPS_TO, _ELSEWHERE = 3, 10, 20.5, 0.1
 _ARX_ROUNDS, _SURE = 20, 0.4  # rounds of a wrapped velocity; of its range, the largest error of what is expected
 
 
@@ -371,3 +374,24 @@ def has_no_sign(v: Floats, u: Floats) -> bool:
     rises = np.array([v[last] - 2.0 * v[first + 1 : last + 1].min() for first, last in strokes])
     forth, back = (float(np.median(rises[[sign[last] == way for _, last in strokes]])) for way in (1.0, -1.0))
     return back > 0.5 * forth > 0.0
+
+
+def cut_off_at(v: Floats) -> float | None:
+    """The largest size of a velocity, where it is cut off there; None where it is not.
+
+    It jumps there, and stays to the last digit. A motor's own largest speed is come to ever more slowly, or has noise.
+    """
+    kept = held_rows(v)
+    v = v if kept is None else v[kept]
+    most = float(np.abs(v).max())
+    sizes = np.unique(np.abs(v))
+    steps = np.diff(sizes[sizes >= 10.0 ** math.floor(math.log10(most))]) if most > 0.0 else np.empty(0)
+    if not steps.size:
+        return None
+    begins = np.flatnonzero(np.diff(v, prepend=np.nan))
+    lasts = np.diff(np.append(begins, v.size))
+    jumps = np.abs(v[begins] - v[np.maximum(begins - 1, 0)]) > _JUMPS_TO * float(steps.min())
+    stays = (lasts >= _STAYS) & jumps & (v[begins] != 0.0)
+    at_end = stays & ((v[begins] == v.max()) | (v[begins] == v.min()))
+    rows, elsewhere = int(lasts[at_end].sum()), int(lasts[stays & ~at_end].sum())
+    return most if at_end.sum() > 1 and rows >= _CUT_ROWS and elsewhere < _ELSEWHERE * rows else None
