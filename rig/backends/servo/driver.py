@@ -283,8 +283,8 @@ class ServoDriver(RegisterDriver[Ask]):
                 self._check_health(values)
             if "tick" in values:
                 tick = values["tick"]
-                passed_s, took_s = STEP_S * ((tick - self._tick) % WRAPS), now_s - self._tick_s
-                self._tick, self._tick_s = tick, now_s
+                passed_s, took_s = STEP_S * ((tick - self._tick) % WRAPS), reply.executed_s - self._tick_s
+                self._tick, self._tick_s = tick, reply.executed_s
                 if abs(passed_s - took_s) > _TICK_SLACK_S:  # its clock begins anew where it restarts
                     words = f"its clock went on by {passed_s:.3f} s, the host's by {took_s:.3f} s: it has restarted"
                     raise Fault("DEVICE_RESET", words)
@@ -604,6 +604,7 @@ class ServoDriver(RegisterDriver[Ask]):
         Where it is over, or nothing comes, all that took long is taken for the answer's way back. What is read is no
         tick's: if it comes later still, it is not taken for the next reading.
         """
+        self._check_late("LINK_TIMEOUT")
         if self._guardian is not None:
             self._guardian.waits()
         try:
@@ -615,7 +616,9 @@ class ServoDriver(RegisterDriver[Ask]):
             if fault.code not in ("LINK_TIMEOUT", "LINK_REPLY") or self._timeout_s > left_s:
                 raise
             self._client.wait(self._timeout_s)
+            self._heard_s = self._transport.now_s()
             return
+        self._heard_s = reply.latest_s
         at_s, applied = self._step_of(values["tick"], reply) + STEP_S, values["applied"]  # it may be one step ahead
         if abs(applied - self._ways[-1].end) <= _STEPS_OFF:
             return
