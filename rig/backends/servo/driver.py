@@ -292,7 +292,7 @@ class ServoDriver(RegisterDriver[Ask]):
             if fault.code.startswith("LINK_"):
                 raise
             raise Fault(fault.code, f"{fault.detail}; at {counts:g} counts") from fault
-        self._check_late("LINK_TIMEOUT")
+        self._end_exchange()
         # as the servo reports it; where it ramps its duty, what it ramps to: the ramp is in ``t_u_s``
         duty = applied if self._strange or self._slope_units_s == math.inf else units
         if (u_V := self._volts.get(duty)) is None:
@@ -604,7 +604,7 @@ class ServoDriver(RegisterDriver[Ask]):
         Where it is over, or nothing comes, all that took long is taken for the answer's way back. What is read is no
         tick's: if it comes later still, it is not taken for the next reading.
         """
-        self._check_late("LINK_TIMEOUT")
+        self._end_exchange()
         if self._guardian is not None:
             self._guardian.waits()
         try:
@@ -616,9 +616,9 @@ class ServoDriver(RegisterDriver[Ask]):
             if fault.code not in ("LINK_TIMEOUT", "LINK_REPLY") or self._timeout_s > left_s:
                 raise
             self._client.wait(self._timeout_s)
-            self._heard_s = self._transport.now_s()
+            self._replied_s = self._transport.now_s()
             return
-        self._heard_s = reply.latest_s
+        self._replied_s = reply.latest_s
         at_s, applied = self._step_of(values["tick"], reply) + STEP_S, values["applied"]  # it may be one step ahead
         if abs(applied - self._ways[-1].end) <= _STEPS_OFF:
             return
