@@ -601,19 +601,18 @@ class ServoDriver(RegisterDriver[Ask]):
     def _look_when_it_began(self) -> None:
         """Read the duty behind a drive whose answer was late: the way on which it is tells the step that began it.
 
-        Where it is over, or nothing comes, all that took long is taken for the answer's way back. What is read is no
-        tick's: if it comes later still, it is not taken for the next reading.
+        Where it is over, nothing comes, or there is no time left to lose an answer, all that took long is taken for the
+        answer's way back. What is read is no tick's: if it comes later still, it is not taken for the next reading.
         """
-        self._end_exchange()
+        if self._waits.left_s(self._transport.now_s()) < LATE_TIMEOUTS * self._timeout_s:
+            return
         if self._guardian is not None:
             self._guardian.waits()
         try:
-            waits_s = max(min(self._timeout_s, self._waits.left_s(self._transport.now_s())), 0.0)
-            reply = self._client.asked(self._reading(self._glance), waits_s, in_tick=True)
+            reply = self._client.asked(self._reading(self._glance), self._timeout_s, in_tick=True)
             values = self._glance.values(self._cells(reply))
         except Fault as fault:
-            left_s = self._waits.left_s(self._transport.now_s())
-            if fault.code not in ("LINK_TIMEOUT", "LINK_REPLY") or self._timeout_s > left_s:
+            if fault.code not in ("LINK_TIMEOUT", "LINK_REPLY"):
                 raise
             self._client.wait(self._timeout_s)
             self._replied_s = self._transport.now_s()

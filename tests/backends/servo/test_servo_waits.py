@@ -238,3 +238,22 @@ def test_a_host_that_stood_still_behind_its_question_takes_no_servo_for_restarte
 
     bench.bus.write = stands_still  # type: ignore[method-assign]
     assert bench.fault_within(10, 1.0) is None
+
+
+def test_a_further_look_at_a_late_drive_ends_no_run_that_has_little_time_left() -> None:
+    """It waited for what was left, 0.09 ms, and its answer came later."""
+    bench = bench_of(experiment(protocol="dynamixel"), "dynamixel")
+    bench.armed()
+    bench.tick(1.0)
+    bench.driver.read()
+    bus, waits, real = bench.bus, bench.driver._waits, bench.bus.write
+
+    def stands_still(data: bytes) -> None:
+        bus.write = real  # type: ignore[method-assign]  # of this bus alone
+        real(data)
+        bus.sleep_until(waits._begun_s + waits.longest_s - 1e-4)
+
+    bus.sleep_until(bus.now_s() + 0.03)
+    bus.write = stands_still  # type: ignore[method-assign]
+    bench.driver.write(-1.0)
+    assert bench.fault_within(5, 1.0) is None
