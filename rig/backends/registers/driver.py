@@ -104,6 +104,8 @@ class RegisterDriver(ABC, Generic[Req]):
         self._t_u_s = math.nan
         self._sampled_s = math.nan  # when the position of the last reading was
         self._driven_s = -math.inf  # when the device last executed a drive
+        self._heard_s = -math.inf  # when it last heard anything, at the latest: a servo's watchdog begins anew by that
+        self._replied_s = -math.inf  # the same, of an exchange of a reading or drive that is not over
         self._acts_s = 0.0  # for so long its watchdog lets that act, or, without one, this driver
         self._lost_reply_s = (
             self._timeout_s
@@ -221,7 +223,8 @@ class RegisterDriver(ABC, Generic[Req]):
         else:
             self._acts_s = min(self.failsafe.time_s, LONGEST_WATCHDOG_S)
             longest_s = self._lost_reply_s + self._acts_s
-        self._waits.restart(longest_s, self._transport.now_s())
+        self._heard_s = self._replied_s = self._transport.now_s()
+        self._waits.restart(longest_s, self._heard_s)
 
     def read(self) -> Sample:
         """Sample the bench.
@@ -236,7 +239,7 @@ class RegisterDriver(ABC, Generic[Req]):
         values = self._values(self._read_span, reply)
         if self._armed:
             self._check_armed(values)
-            self._check_late("LINK_TIMEOUT")
+            self._end_exchange()
         elif self._max_units > 0:  # armed before: a fault in a pause must not go unseen
             self._check_pause(values)
         try:
@@ -261,7 +264,7 @@ class RegisterDriver(ABC, Generic[Req]):
         self._tick_writing(units)
         self._waits.drive()
         self._units = units
-        self._check_late("LINK_TIMEOUT")
+        self._end_exchange()
 
     def safe_stop(self) -> bool:
         """Drive 0, control to stop, up to three times. True once replies and registers confirm it.
@@ -544,6 +547,7 @@ class RegisterDriver(ABC, Generic[Req]):
             if fault.code == "LINK_TIMEOUT" and left_s < longest_s:
                 raise Fault(fault.code, f"{fault.detail}; {self._waits.words}") from fault
             raise
+        self._replied_s = reply.latest_s
         self._beyond[request is self._sampling].take(reply.latest_s - reply.executed_s)
         self._late_in_a_row = self._late_in_a_row + 1 if reply.round_trip_s > self._unfit_s else 0
         if self._late_in_a_row >= _LATE_REPLIES:
@@ -554,7 +558,7 @@ class RegisterDriver(ABC, Generic[Req]):
 
     def _acts_at(self, now_s: float) -> bool:
         """Whether the last drive may act then: where its watchdog has ended it the device says so."""
-        return self.failsafe is None or now_s < self._driven_s + self._acts_s
+        return self.failsafe is None or now_s < self._heard_s + self._acts_s
 
     def _check_late(self, code: str) -> None:
         """Raise that fault where late ticks and replies have taken more than is counted, and a drive may act."""
@@ -563,6 +567,11 @@ class RegisterDriver(ABC, Generic[Req]):
             ends = Fault(code, self._waits.words)
             self._explain(ends)
             raise ends
+
+    def _end_exchange(self) -> None:
+        """The device has not said that its watchdog has acted: it waits anew. Raises Fault LINK_TIMEOUT."""
+        self._heard_s = self._replied_s
+        self._check_late("LINK_TIMEOUT")
 
     def _explain(self, fault: Fault) -> None:
         """Raise the fault that is behind one of the link, where the driver knows it."""

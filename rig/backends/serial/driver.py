@@ -193,7 +193,7 @@ class SerialDriver:
         self._session = secrets.randbelow(2**32 - 1) + 1 if session is None else session
         self._setup: Setup | None = None  # that the device has confirmed
         self._armed = False
-        self._heard_s = -math.inf  # when the device was last told a drive, at the earliest
+        self._heard_s = -math.inf  # when the device was last told a drive, at the latest
         self._waits = TickWaits(REACTS_TICKS, timeouts.period_s)
         self._unconfirmed: int | None = None  # seq of a DRIVE frame that no STATE has told of yet
         self._driven = False  # the device has accepted a DRIVE since arming
@@ -492,9 +492,11 @@ class SerialDriver:
     def _send_drive(self, kind: Kind, body: bytes) -> None:
         if self._ended is not None:
             self._t_u_s, self._ended = self._ended.t_s, None
-        self._heard_s = self._exchange.now_s()
+        if self._is_over(self._exchange.now_s()):
+            raise Fault("LATE", self._waits.words)
         self._waits.drive()
         self._unconfirmed = self._exchange.send(kind, body)
+        self._heard_s = self._exchange.now_s()
 
     def safe_stop(self) -> bool:
         """Tell the device to stop, up to three times; True once it confirms 0 drive, disarmed.

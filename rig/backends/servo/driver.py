@@ -283,8 +283,8 @@ class ServoDriver(RegisterDriver[Ask]):
                 self._check_health(values)
             if "tick" in values:
                 tick = values["tick"]
-                passed_s, took_s = STEP_S * ((tick - self._tick) % WRAPS), now_s - self._tick_s
-                self._tick, self._tick_s = tick, now_s
+                passed_s, took_s = STEP_S * ((tick - self._tick) % WRAPS), reply.executed_s - self._tick_s
+                self._tick, self._tick_s = tick, reply.executed_s
                 if abs(passed_s - took_s) > _TICK_SLACK_S:  # its clock begins anew where it restarts
                     words = f"its clock went on by {passed_s:.3f} s, the host's by {took_s:.3f} s: it has restarted"
                     raise Fault("DEVICE_RESET", words)
@@ -292,7 +292,7 @@ class ServoDriver(RegisterDriver[Ask]):
             if fault.code.startswith("LINK_"):
                 raise
             raise Fault(fault.code, f"{fault.detail}; at {counts:g} counts") from fault
-        self._check_late("LINK_TIMEOUT")
+        self._end_exchange()
         # as the servo reports it; where it ramps its duty, what it ramps to: the ramp is in ``t_u_s``
         duty = applied if self._strange or self._slope_units_s == math.inf else units
         if (u_V := self._volts.get(duty)) is None:
@@ -601,21 +601,23 @@ class ServoDriver(RegisterDriver[Ask]):
     def _look_when_it_began(self) -> None:
         """Read the duty behind a drive whose answer was late: the way on which it is tells the step that began it.
 
-        Where it is over, or nothing comes, all that took long is taken for the answer's way back. What is read is no
-        tick's: if it comes later still, it is not taken for the next reading.
+        Where it is over, nothing comes, or there is no time left to lose an answer, all that took long is taken for the
+        answer's way back. What is read is no tick's: if it comes later still, it is not taken for the next reading.
         """
+        if self._waits.left_s(self._transport.now_s()) < LATE_TIMEOUTS * self._timeout_s:
+            return
         if self._guardian is not None:
             self._guardian.waits()
         try:
-            waits_s = max(min(self._timeout_s, self._waits.left_s(self._transport.now_s())), 0.0)
-            reply = self._client.asked(self._reading(self._glance), waits_s, in_tick=True)
+            reply = self._client.asked(self._reading(self._glance), self._timeout_s, in_tick=True)
             values = self._glance.values(self._cells(reply))
         except Fault as fault:
-            left_s = self._waits.left_s(self._transport.now_s())
-            if fault.code not in ("LINK_TIMEOUT", "LINK_REPLY") or self._timeout_s > left_s:
+            if fault.code not in ("LINK_TIMEOUT", "LINK_REPLY"):
                 raise
             self._client.wait(self._timeout_s)
+            self._replied_s = self._transport.now_s()
             return
+        self._replied_s = reply.latest_s
         at_s, applied = self._step_of(values["tick"], reply) + STEP_S, values["applied"]  # it may be one step ahead
         if abs(applied - self._ways[-1].end) <= _STEPS_OFF:
             return

@@ -144,3 +144,27 @@ def test_a_host_that_stands_still_again_while_a_loop_reacts_ends_the_run(
     else:
         assert fault is not None and fault.code == ("LATE" if between else "LINK_TIMEOUT")
         assert "all that `rig check` counts" in fault.detail
+
+
+@pytest.mark.parametrize("late", ["ahead of a drive", "while a drive is sent"])
+def test_no_drive_goes_out_and_nothing_is_asked_once_ticks_came_too_late_together(
+    late: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A drive went out behind each stall, and one that left late let its watchdog act later than rig thought."""
+    with opened(0.03, 0.1) as (d, driver, line):
+        driver.arm(d.arming)
+        driver.read()
+        if late == "ahead of a drive":
+            line.sleep_until(line.now_s() + 0.08)
+            driver.write(0.1)
+            driver.read()
+        else:
+            write = line._line.write
+            with monkeypatch.context() as patch:
+                patch.setattr(line._line, "write", lambda data: (line.sleep_until(line.now_s() + 0.08), write(data)))
+                driver.write(0.1)
+        line.sleep_until(line.now_s() + 0.08)
+        asked = driver._exchange.seq
+        with pytest.raises(Fault, match="LATE"):
+            driver.write(0.1) if late == "ahead of a drive" else driver.read()
+        assert driver._exchange.seq == asked

@@ -192,3 +192,68 @@ def test_a_host_that_stands_still_between_exchanges_again_and_again_ends_the_run
         return
     late = next(k for k, fault in enumerate(faults) if fault is not None)
     assert str(faults[late]).startswith("LATE") and sum(stands_s[: late - 2]) <= bench.driver._waits.longest_s
+
+
+@pytest.mark.parametrize("late", ["the next drive", "a question behind a late drive"])
+def test_a_servo_whose_watchdog_readings_keep_quiet_is_driven_and_asked_no_more_once_ticks_came_too_late(
+    late: str,
+) -> None:
+    """Its last drive was older than the watchdog bears, so nothing was late: it drove for 300 ms beyond what counts."""
+    bench = bench_of(experiment(protocol="dynamixel"), "dynamixel")
+    bench.armed()
+    bench.tick(1.0)
+    bus, driver, real = bench.bus, bench.driver, bench.bus.write
+    driver.read()
+    if late == "the next drive":
+        driver.write(1.0)
+        bus.sleep_until(bus.now_s() + 0.045)
+        driver.read()
+        bus.sleep_until(bus.now_s() + 0.04)
+    else:
+        bus.sleep_until(bus.now_s() + 0.03)
+
+        def stands_still(data: bytes) -> None:
+            real(data)
+            bus.sleep_until(bus.now_s() + 0.045)
+
+        bus.write = stands_still  # type: ignore[method-assign]  # of this bus alone
+    heard = len(bus.bus.log)
+    with pytest.raises(Fault, match="all that `rig check` counts"):
+        driver.write(-1.0)
+    assert len(bus.bus.log) == heard + (late != "the next drive")
+
+
+def test_a_host_that_stood_still_behind_its_question_takes_no_servo_for_restarted() -> None:
+    """Its clock went on by 10 ms, the host's by 139: for longer than a restart is told by."""
+    bench = bench_of(experiment(watchdog_s=0.2, protocol="dynamixel"), "dynamixel")
+    bench.armed()
+    bench.tick(1.0)
+    bench.tick(-1.0)
+    real = bench.bus.write
+
+    def stands_still(data: bytes) -> None:
+        bench.bus.write = real  # type: ignore[method-assign]  # of this bus alone
+        real(data)
+        bench.bus.sleep_until(bench.bus.now_s() + 0.13)
+
+    bench.bus.write = stands_still  # type: ignore[method-assign]
+    assert bench.fault_within(10, 1.0) is None
+
+
+def test_a_further_look_at_a_late_drive_ends_no_run_that_has_little_time_left() -> None:
+    """It waited for what was left, 0.09 ms, and its answer came later."""
+    bench = bench_of(experiment(protocol="dynamixel"), "dynamixel")
+    bench.armed()
+    bench.tick(1.0)
+    bench.driver.read()
+    bus, waits, real = bench.bus, bench.driver._waits, bench.bus.write
+
+    def stands_still(data: bytes) -> None:
+        bus.write = real  # type: ignore[method-assign]  # of this bus alone
+        real(data)
+        bus.sleep_until(waits._begun_s + waits.longest_s - 1e-4)
+
+    bus.sleep_until(bus.now_s() + 0.03)
+    bus.write = stands_still  # type: ignore[method-assign]
+    bench.driver.write(-1.0)
+    assert bench.fault_within(5, 1.0) is None
