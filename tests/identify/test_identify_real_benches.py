@@ -579,6 +579,26 @@ def test_whole_numbers_of_a_velocity_are_samples_where_means_would_come_before_t
     assert found.answer is not None and right(found.answer, motor, 0.01, "tau_s", "K_rad_s_V")
 
 
+@pytest.mark.parametrize(("tau_s", "drives_V"), [(0.02, (6.0, -6.0, 3.0, -3.0, 4.5, -4.5)), (0.05, (6.0, -6.0))])
+def test_a_low_pass_of_a_row_is_told_from_a_quick_motor_or_tau_is_not_known(
+    tau_s: float, drives_V: tuple[float, ...], tmp_path: Path
+) -> None:
+    """Means of a counter, low-passed: tau was 20 and 10 % off beside 14 and 8, f_c 22 and 79 % beside 14 and 29."""
+    motor, t_s = RealMotor(tau_s, 8.0, 0.5), np.linspace(0.0, 15.0, 1500, endpoint=False)
+    u_V = np.resize(np.repeat(np.array(drives_V), 10), t_s.size)
+    y_rad = response(motor, Frame(duration_s=15.1), (t_s + 0.004, u_V), t_s, Pieces.one())
+    counts = np.floor(y_rad * 4096 / (2.0 * math.pi))
+    v_rad_s = filtered([0.4], [-0.6], (np.diff(counts, prepend=counts[0]) * 2.0 * math.pi / 40.96)[:, None])[:, 0]
+    log = tmp_path / "smooth.csv"
+    log.write_text("".join(f"{t:.3f},{u},{v:.4f}\n" for t, u, v in zip(t_s, u_V, v_rad_s, strict=True)))
+    found = identify(read_all(log, LogFormat(LogColumn("s"), LogColumn("V"), velocity=LogColumn("rad/s"))))
+    assert any("low-passed" in note for note in found.notes)
+    answer = found.answer
+    assert answer is not None and answer.grade is not None and (half_s := answer.grade["tau_s"].u95) is not None
+    found_s = answer.value("tau_s")
+    assert found_s is not None and abs(found_s - tau_s) < half_s
+
+
 def test_noise_that_adds_up_is_not_white_and_a_law_of_a_sampled_velocity_must_show_in_blocks(tmp_path: Path) -> None:
     """A fit that left no more than such noise kept any law: friction of a gear, or a dead band with f_c 1.2 % off."""
     motor, random = RealMotor(0.331, 3.94, 1.34), np.random.default_rng(5)
