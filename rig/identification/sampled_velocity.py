@@ -15,7 +15,6 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from rig.core.arrays import Array
 from rig.identification.departures.fit import Fit
@@ -113,6 +112,8 @@ def _fitted(tests: Sequence[TimeSeries], plain: Estimate, first: Array, of_means
 
     first   to begin with: log tau, log K, f_c and a, V, the delay, s; the lag of a low pass, s, or not
     """
+    from scipy.optimize import least_squares  # it loads slowly, and few records need it
+
     drive_V, period_s = max(float(np.abs(test.u_V).max()) for test in tests), max(test.period_s for test in tests)
     earliest_s, latest_s = delays_of_all_s(tests)
     least = np.array([-LARGEST, -LARGEST, 0.0, -drive_V, earliest_s, 0.0])[: first.size]

@@ -492,11 +492,13 @@ class SerialDriver:
     def _send_drive(self, kind: Kind, body: bytes) -> None:
         if self._ended is not None:
             self._t_u_s, self._ended = self._ended.t_s, None
-        if self._is_over(self._exchange.now_s()):
+        now_s = self._exchange.now_s()
+        if self._is_over(now_s):
             raise Fault("LATE", self._waits.words)
         self._waits.drive()
         self._unconfirmed = self._exchange.send(kind, body)
-        self._heard_s = self._exchange.now_s()
+        if now_s < self._heard_s + self._watchdog_s:  # else its watchdog has acted: it drives no more, and says so
+            self._heard_s = self._exchange.now_s()
 
     def safe_stop(self) -> bool:
         """Tell the device to stop, up to three times; True once it confirms 0 drive, disarmed.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from rig.backends.registry import backend_of
 from rig.config.edit import Value
@@ -13,9 +14,11 @@ from rig.config.problems import ConfigError, Path, Problem, wrong
 from rig.config.schema import EmulatedMotor, Experiment
 from rig.config.yaml12 import Document
 from rig.core.errors import CauseError
-from rig.model.describing_function import Oscillation, RelayGains, gains_for
 from rig.run_folder.results import JsonObject
 from rig.running.preflight.rules import check
+
+if TYPE_CHECKING:
+    from rig.model.describing_function import RelayGains
 
 FRICTION_SHARE = 0.05  # of the supply; this and the next three: see ``made_motor``
 TAU_SHARE = 0.5  # of limits.coast_tau_s
@@ -238,6 +241,11 @@ def _unfit(e: Experiment, motor: EmulatedMotor) -> Iterator[Problem]:
 
 def _gains_V(K_rad_s_V: float, tau_s: float, friction_V: float, amplitude_rad: float, period_s: float) -> RelayGains:
     """The relay's gains that swing the motor so, by the describing function (docs/theory.md 4)."""
+    from rig.model.describing_function import (
+        Oscillation,
+        gains_for,
+    )  # with numpy, which a missing port need not wait for
+
     return gains_for(Oscillation(2.0 * math.pi / period_s, amplitude_rad), tau_s, K_rad_s_V, friction_V)
 
 
