@@ -495,10 +495,12 @@ class SerialDriver:
         now_s = self._exchange.now_s()
         if self._is_over(now_s):
             raise Fault("LATE", self._waits.words)
+        silent_s = now_s - self._heard_s
+        if self._armed and self._watchdog_s + self._timeout_s < silent_s < math.inf:  # not even a late frame fed it
+            raise Fault("DEVICE_WATCHDOG", f"no drive was sent for {1e3 * silent_s:.0f} ms")
         self._waits.drive()
         self._unconfirmed = self._exchange.send(kind, body)
-        if now_s < self._heard_s + self._watchdog_s:  # else its watchdog has acted: it drives no more, and says so
-            self._heard_s = self._exchange.now_s()
+        self._heard_s = self._exchange.now_s()
 
     def safe_stop(self) -> bool:
         """Tell the device to stop, up to three times; True once it confirms 0 drive, disarmed.
