@@ -194,6 +194,7 @@ class SerialDriver:
         self._setup: Setup | None = None  # that the device has confirmed
         self._armed = False
         self._heard_s = -math.inf  # when the device was last told a drive, at the latest
+        self._asked_s = math.inf  # when it was last asked for a reading
         self._waits = TickWaits(REACTS_TICKS, timeouts.period_s)
         self._unconfirmed: int | None = None  # seq of a DRIVE frame that no STATE has told of yet
         self._driven = False  # the device has accepted a DRIVE since arming
@@ -323,6 +324,7 @@ class SerialDriver:
         if setup != self._setup:
             self._store(setup)
             self._setup = setup
+        self._asked_s = math.inf
         self._heard_s = self._exchange.now_s()
         code = self._exchange.arm(self._session)
         if code != Code.NONE:
@@ -416,7 +418,7 @@ class SerialDriver:
         waits for as long as the device's watchdog lets the last drive act. Raises Fault LINK_TIMEOUT without an answer,
         and when three readings in a row had to be repeated; LATE where ticks came too late together.
         """
-        begun_s = self._exchange.now_s()
+        begun_s = self._asked_s = self._exchange.now_s()
         self._waits.read(begun_s)
         if self._is_over(begun_s):
             raise Fault("LATE", self._waits.words)
@@ -492,12 +494,11 @@ class SerialDriver:
     def _send_drive(self, kind: Kind, body: bytes) -> None:
         if self._ended is not None:
             self._t_u_s, self._ended = self._ended.t_s, None
-        now_s = self._exchange.now_s()
-        if self._is_over(now_s):
+        if self._is_over(self._exchange.now_s()):
             raise Fault("LATE", self._waits.words)
-        silent_s = now_s - self._heard_s
-        if self._armed and self._watchdog_s + self._timeout_s < silent_s < math.inf:  # not even a late frame fed it
-            raise Fault("DEVICE_WATCHDOG", f"no drive was sent for {1e3 * silent_s:.0f} ms")
+        silent_s = self._exchange.now_s() - self._asked_s
+        if self._armed and silent_s > self._watchdog_s + self._timeout_s:  # not even a late frame fed it
+            raise Fault("DEVICE_WATCHDOG", f"the host stood still for {1e3 * silent_s:.0f} ms")
         self._waits.drive()
         self._unconfirmed = self._exchange.send(kind, body)
         self._heard_s = self._exchange.now_s()
