@@ -67,22 +67,24 @@ def bends(tests: Sequence[TimeSeries], plain: Estimate) -> Bends | None:
     if not plain.is_motor or any(test.reads != "samples" for test in tests):
         return None
     without = plain_in_pieces(tests, plain, walks=tests)
+    if not without.cost > 0.0:
+        return None  # nothing is left to put right
     found, of_means, apart = _fitted(tests, plain, _numbers(without)), False, 0.0
     rows, period_s = found.fun.size, max(test.period_s for test in tests)
     first = np.append(_numbers(without), 0.3 * period_s)
     lagging = {means: _fitted(tests, plain, first, means) for means in (False, True)}
     best = min(lagging, key=lambda means: float(lagging[means].cost))
-    if rows * math.log(found.cost / lagging[best].cost) > SURE:
+    if found.cost > lagging[best].cost * math.exp(SURE / rows):
         of_means = best
         # motor and low pass may stand in each other's place, but for friction
         both = [lagging[best], _fitted(tests, plain, _swapped(lagging[best].x, period_s), best)]
         found, other = sorted(both, key=lambda one: float(one.cost))
         for numbers in (other.x, _swapped(found.x, period_s)):
             cost = 0.5 * float(np.sum(_left(tests, plain, numbers, best) ** 2))
-            if rows * math.log(cost / found.cost) < SURE:
+            if cost < found.cost * math.exp(SURE / rows):
                 apart = max(apart, abs(math.expm1(float(numbers[0] - found.x[0]))))
         apart = max(apart, KNOWN * float(found.x[5]) * math.exp(-float(found.x[0])))
-    if rows * math.log(2.0 * found.cost / without.cost) > CHANCE:
+    if 2.0 * found.cost > without.cost * math.exp(CHANCE / rows):
         return None
     motor, lag_s = _with(plain, found.x)
     bent = _bent(tests, motor, lag_s, of_means)
