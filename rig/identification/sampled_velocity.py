@@ -30,6 +30,7 @@ TRIALS, NEAR = 40, 1e-6  # of a descent, and the step that ends it, of the numbe
 STEPS = (0.1, 0.1, 0.01, 0.01, 0.1, 0.1)  # of log tau, log K; f_c, a, of the largest drive; delay and lag, of a period
 LARGEST = 20.0  # log tau or log K, of any motor
 LONGEST_ROWS = 5.0  # of such a low pass
+SHORTEST = 0.01  # of a period: in less, a motor lags behind no row
 COVERAGE = 2.0
 HALF_A_ROW = (0.3, 0.7)  # of a period that the drive acts before its row
 SAID_SAMPLES = (
@@ -64,7 +65,7 @@ def bends(tests: Sequence[TimeSeries], plain: Estimate) -> Bends | None:
 
     Raises IdentifyError if a test is too short for pieces.
     """
-    if not plain.is_motor or any(test.reads != "samples" for test in tests):
+    if not plain.is_motor or any(test.reads != "samples" or test.t_u_s is not None for test in tests):
         return None
     without = plain_in_pieces(tests, plain, walks=tests)
     if not without.cost > 0.0:
@@ -103,7 +104,7 @@ def _numbers(fit: Fit) -> Array:
 
 def _swapped(numbers: Array, period_s: float) -> Array:
     """The same with the time constants of motor and low pass in each other's place; as for ``_fitted``."""
-    tau_s, lag_s = math.exp(numbers[0]), max(float(numbers[5]), NEAR * period_s)
+    tau_s, lag_s = max(math.exp(numbers[0]), SHORTEST * period_s), max(float(numbers[5]), NEAR * period_s)
     found = numbers.copy()
     found[0], found[5] = math.log(period_s / math.log1p(period_s / lag_s)), period_s / math.expm1(period_s / tau_s)
     return found
