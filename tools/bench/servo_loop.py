@@ -99,6 +99,8 @@ def measured(config: str, turns: int) -> dict[str, Any]:
                     loop.run(Limited(BareRelay(), ticks), "relay-1")
             except Fault as fault:
                 found["faults"].append(f"{fault.code}: {fault.detail}")
+            finally:
+                loop.close()  # else it reads on, between the next one's exchanges
             blocks = [one.result() for one in beside]
             spans = stood(blocks)
             found["ticks"] += loop.statistics.ticks

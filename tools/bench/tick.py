@@ -158,6 +158,8 @@ class Turns:
                         loop.run(Limited(law, self._ticks), "relay-1")
                 except Fault as fault:  # a machine that stood still for longer than daq.timeout_s
                     self.faults.append(fault.code)
+                finally:
+                    loop.close()  # else it reads on, between the other's exchanges
 
     def result(self) -> dict[str, Any]:
         """Quantiles of each part, ours and of the bare tick, us; the share of ticks skipped."""
