@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,8 @@ import pytest
 from shared import rows_file
 from shared.rows_file import RowsFile
 from shared.share import at_most, bounds, counted
+
+PROJECT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(autouse=True)
@@ -62,3 +65,11 @@ def test_a_share_has_the_exact_bounds() -> None:
     assert bounds(0, 10)[0] == 0.0
     assert counted([True] * 3 + [False]) == ("3 of 4: 75.0 %", "19.4 to 99.4 %")
     assert counted([]) == ("–", "")
+
+
+@pytest.mark.parametrize("campaign", ["campaign_real", "comparing", "stalls", "stopping", "tune"])
+def test_the_code_that_makes_the_rows_of_a_campaign_is_there(campaign: str) -> None:
+    told = vars(import_module(f"{campaign}.__main__"))
+    made_by = [part for name, parts in told.items() if name.startswith(("MADE_BY", "GAINS_BY")) for part in parts]
+    assert made_by
+    assert [part for part in made_by if not (PROJECT / part).exists()] == []

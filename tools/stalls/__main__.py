@@ -24,10 +24,7 @@ from stalls.rows import OF, Board, Row, row
 HERE = Path(__file__).resolve().parents[2]
 PAGE = HERE / "docs" / "evidence" / "stalls-table.md"
 MADE_BY = (  # rows of another code start anew
-    *(
-        f"rig/{room}"
-        for room in ("backends", "control", "design", "experiment", "identify", "loop", "model", "preflight")
-    ),
+    *(f"rig/{room}" for room in ("backends", "control", "design", "identification", "model", "running")),
     "tools/stalls/hostile_host.py",
     "tools/stalls/rows.py",
 )

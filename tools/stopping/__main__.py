@@ -24,14 +24,14 @@ from stopping.rows import OF, Asked, Row, row
 HERE = Path(__file__).resolve().parents[2]
 PAGE = HERE / "docs" / "evidence" / "stopping-table.md"
 MADE_BY = (  # rows of another code start anew
-    *(f"rig/{room}" for room in ("control", "design", "experiment", "identify", "loop", "model", "preflight")),
+    *(f"rig/{room}" for room in ("control", "design", "identification", "model", "running")),
     "tools/stopping/rows.py",
     "tools/stopping/in_memory.py",
     "tools/stopping/shown.py",
     *(f"tools/campaign_real/{name}.py" for name in ("departing_bench", "departing_motor", "kinds")),
 )
 GAINS_BY = (  # what a law could show needs no run
-    *(f"rig/{room}" for room in ("identify", "model")),
+    *(f"rig/{room}" for room in ("identification", "model")),
     *(f"tools/campaign_real/{name}.py" for name in ("departing_motor", "kinds", "shown")),
 )
 WRONG = 0.05  # relative error beyond which a number called ok is wrong

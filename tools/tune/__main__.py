@@ -22,7 +22,7 @@ from tune.rows import LOOPS, STEPS, Row, rows_of
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "evidence" / "tune-table.md"
 MADE_BY = (  # rows of another code start anew
-    *(f"rig/{room}" for room in ("control", "identify", "model", "tune")),
+    *(f"rig/{room}" for room in ("control", "design/tune", "identification", "model")),
     "tools/tune/rows.py",
     *(f"tools/campaign_real/{name}.py" for name in ("departing_motor", "kinds")),
 )

@@ -4,7 +4,7 @@ sink       what takes rows and events
 recorder   the sink of a run: it writes to memory only
 writer     the process that puts the rows on disk
 layout     the memory that recorder and writer share
-columns    the columns of samples.csv and their text
+sample_columns  the columns of samples.csv and their text
 folder     the run folder and its small files
 follow     live progress of a run
 recording  ``Recording``: the rows of a run folder or a CSV file as arrays
