@@ -23,6 +23,8 @@ CODE = re.compile(r"```\w*\n(.*?)```|`([^`\n]+)`", re.DOTALL)
 
 # a path of the project in a line of code, such as `rig/control/guard.py`
 PATH = re.compile(r"`((?:rig|tests|tools|firmware|config|docs)/[\w./-]*)`")
+# the end of such a path: `departures/laws.py`
+END = re.compile(r"`((?:[\w-]+/)+[\w-]+\.(?:py|c|h))`")
 # a Python file by its name alone, perhaps with a test in it: `test_cli_run.py::test_a_run`
 FILE = re.compile(r"`([\w-]+\.py)(?:::(\w+))?`")
 # something in a file: `Loop.armed` in `rig/control/loop/runner.py`
@@ -33,7 +35,9 @@ HISTORY = ("docs/evidence/mutant-table.md", "CHANGELOG.md")
 # pages that a command writes say what made them instead
 EVIDENCE = ROOT / "docs" / "evidence"
 READER = re.compile(r"# .*\n\nFor \S")
+QUESTION = re.compile(r"^\| (.*\?) \| (.*) \|$", re.MULTILINE)
 
+MAP = "architecture.md"
 THEORY = ROOT / "docs" / "theory.md"
 # "docs/theory.md 4.2", "docs/theory.md 3.1, 4.3 and 6.2", "docs/theory.md, section 7.1"
 CITED = re.compile(r"docs/theory\.md(?:, sections?)? (\d+(?:\.\d+)?(?:(?:, | and )\d+(?:\.\d+)?)*)")
@@ -84,15 +88,25 @@ def lost_places(text: str) -> Iterator[str]:
             yield f"names {name}, which is nowhere"
         elif inside and not any(inside in file.read_text(encoding="utf-8") for file in files):
             yield f"names {name}::{inside}, which is not there"
+    for name in END.findall(text):
+        if not listed(name, f"*/{name}"):
+            yield f"names {name}, which is the end of no path"
     for inside, name in PLACE.findall(text):
         if (ROOT / name).is_file() and inside not in (ROOT / name).read_text(encoding="utf-8"):
             yield f"names {inside} in {name}, which is not there"
 
 
+def unanswered(text: str) -> Iterator[str]:
+    """Questions of the map of the code that not one file alone answers."""
+    for question, answer in QUESTION.findall(text):
+        if len(PATH.findall(answer)) != 1:
+            yield f"asks: {question} One file must answer, not {answer}"
+
+
 def problems(path: Path) -> list[str]:
     """What does not hold in one document."""
     text = path.read_text(encoding="utf-8")
-    found = list(broken_links(path, text))
+    found = list(broken_links(path, text)) + (list(unanswered(text)) if path.name == MAP else [])
     is_page = path.is_relative_to(ROOT / "docs") and (path.parent != EVIDENCE or path.name == "README.md")
     if is_page and not READER.match(text):
         found.append("the line below its title does not say for whom it is: For everybody who ...")

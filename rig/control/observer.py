@@ -7,10 +7,10 @@ from collections import deque
 
 import numpy as np
 
-from rig.control.known_motor import MotorState, known
+from rig.control.known_motor import KnownMotor
+from rig.core.motor_numbers import State
 from rig.core.signals import Sample
 from rig.model.linear import input_vector, settled, transition
-from rig.model.motor import Motor
 from rig.model.real_motor import FramedMotor
 
 _GAP_PERIODS = 2.5  # a longer time between two samples is a gap
@@ -35,15 +35,15 @@ class MotorObserver:
 
     def __init__(
         self,
-        motor: Motor | FramedMotor,
+        motor: FramedMotor,
         period_s: float,
         noise_rad: float,
         tachometer_noise_rad_s: float | None = None,
     ) -> None:
-        self.motor = known(motor)
+        self.motor = KnownMotor(motor)
         self.latency_s = 0.0
         self.further_s = 0.0
-        self.state: MotorState = self.motor.at_rest(0.0)
+        self.state = self.motor.at_rest(0.0)
         self._period_s = period_s
         self._last_t_s = math.nan
         self._acting_V = 0.0
@@ -61,7 +61,7 @@ class MotorObserver:
         P = settled(A, C.T @ np.linalg.inv(R) @ C, Q)
         self._gain: list[list[float]] = (P @ C.T @ np.linalg.inv(C @ P @ C.T + R)).tolist()
 
-    def step(self, sample: Sample) -> MotorState:
+    def step(self, sample: Sample) -> State:
         """The state at the instant at which a drive computed now takes effect."""
         if math.isnan(self._last_t_s):
             self.state = self.motor.at_rest(self.motor.position_rad(sample.y_rad))
@@ -123,15 +123,14 @@ class MotorObserver:
             self._known_s = effect_s
             self._reported.append((effect_s + self.further_s, sample.u_V))
 
-    def _predicted(self, t_s: float) -> MotorState:
+    def _predicted(self, t_s: float) -> State:
         """The state when a drive decided at ``t_s`` comes to the motor."""
         state, volts, end_s = self.state, self._acting_V, t_s + self.delay_s
         for effect_s, next_V in (*self._reported, *((asked_s + self.delay_s, V) for asked_s, V in self._asked)):
             if t_s < effect_s < end_s:
                 state, t_s = self.motor.advance(state, volts, effect_s - t_s), effect_s
             volts = next_V
-        ahead: MotorState = self.motor.advance(state, volts, end_s - t_s)
-        return ahead
+        return self.motor.advance(state, volts, end_s - t_s)
 
     def _correct(self, sample: Sample) -> None:
         v, y = self.state.v, self.state.y

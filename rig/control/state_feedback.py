@@ -8,12 +8,11 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from rig.control.known_motor import known
+from rig.control.known_motor import KnownMotor
 from rig.control.law import BareLaw
 from rig.control.observer import MotorObserver
 from rig.control.set_point import Program
 from rig.core.signals import Sample
-from rig.model.motor import Motor
 from rig.model.real_motor import FramedMotor
 
 Loop = Literal["position", "velocity"]
@@ -58,9 +57,9 @@ class StateFeedback(BareLaw):
     """
 
     def __init__(
-        self, motor: Motor | FramedMotor, observer: MotorObserver, gains: Gains, program: Program, limits: DriveLimits
+        self, motor: FramedMotor, observer: MotorObserver, gains: Gains, program: Program, limits: DriveLimits
     ) -> None:
-        self.motor = known(motor)
+        self.motor = KnownMotor(motor)
         self.observer = observer
         self.gains = gains
         self.program = program

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.control.known_motor import KnownMotor, MotorState, known
+from rig.control.known_motor import KnownMotor
 from rig.control.law import BareLaw
 from rig.control.observer import MotorObserver
 from rig.control.trajectory import Reference
+from rig.core.motor_numbers import State
 from rig.core.signals import Sample
 from rig.model.error_decay import ErrorDecay
-from rig.model.motor import Motor
 from rig.model.real_motor import FramedMotor
 
 
@@ -28,7 +28,7 @@ class Trajectory(Protocol):
 
 
 def linearising_drive(
-    motor: KnownMotor[Any], state: MotorState, reference: Reference, gains: tuple[float, float], direction: float
+    motor: KnownMotor, state: State, reference: Reference, gains: tuple[float, float], direction: float
 ) -> float:
     """Drive of (33), (34), V: u = (tau/K) r + v/K + f_c sgn(.) - a, r = yd'' + k1 (yd' - v) + k2 (yd - y).
 
@@ -53,7 +53,7 @@ class Tracking(BareLaw):
 
     def __init__(
         self,
-        motor: Motor | FramedMotor,
+        motor: FramedMotor,
         observer: MotorObserver,
         trajectory: Trajectory,
         k1_1_s: float,
@@ -62,7 +62,7 @@ class Tracking(BareLaw):
         friction_sign: Literal["reference", "estimate"] = "reference",
         offset_rad: float = 0.0,
     ) -> None:
-        self.motor = known(motor)
+        self.motor = KnownMotor(motor)
         self.observer = observer
         self.trajectory = trajectory
         self.k1_1_s = k1_1_s

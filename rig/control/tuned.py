@@ -50,10 +50,9 @@ def tuned(
     )
     if not watch["period_s"] > 0.0 or not watch["noise_rad"] > 0.0 or not bounds["largest_V"] > 0.0:
         raise ValueError("the period_s and noise_rad of observer, and the largest_V of limits, must be > 0")
-    model = framed if framed.parts else framed.plain
-    observed = MotorObserver(model, watch["period_s"], watch["noise_rad"])
+    observed = MotorObserver(framed, watch["period_s"], watch["noise_rad"])
     observed.latency_s, observed.further_s = watch["latency_s"], watch["further_s"]
-    return StateFeedback(model, observed, Gains(known, **of_gains), program_of(program), DriveLimits(**bounds))
+    return StateFeedback(framed, observed, Gains(known, **of_gains), program_of(program), DriveLimits(**bounds))
 
 
 def program_of(parts: Sequence[Mapping[str, Any]]) -> InTurn:

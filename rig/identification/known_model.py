@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from shlex import quote
 
-from rig.model.friction import coulomb
-from rig.model.motor import Motor
-from rig.model.real_motor import Frame, FramedMotor
+from rig.model.real_motor import Frame, FramedMotor, RealMotor
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import RESULT
 from rig.run_folder.recording.path_kind import no_run
@@ -58,10 +56,11 @@ def known_model(path: Path, largest_V: float) -> FramedMotor:
     return motor
 
 
-def plain_motor(estimate: EstimateResult) -> Motor:
+def plain_motor(estimate: EstimateResult) -> FramedMotor:
     """Its tau, K and f_c, with its asymmetry, where it has one, as a bias. Raises ValueError where one is not known."""
     bias_V = 0.0 if estimate.asym_V is None else known(estimate.asym_V)
-    return Motor(known(estimate.tau_s), known(estimate.K_rad_s_V), coulomb(known(estimate.fc_V)), bias_V)
+    numbers = RealMotor(known(estimate.tau_s), known(estimate.K_rad_s_V), known(estimate.fc_V), bias_V)
+    return FramedMotor(numbers, Frame())
 
 
 def is_printed(path: Path) -> bool:

@@ -60,9 +60,10 @@ class FramedMotor:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """Numbers of motor and frame by name, without the parts that the motor has not."""
+        """Numbers of motor and frame by name, without the parts that the motor has not; without any, without frame."""
         own = {name: value for name, value in self.motor._asdict().items() if value != 0.0 or name in CORE}
-        return {name: float(value) for name, value in (own | self.frame._asdict()).items()}
+        own |= self.frame._asdict() if self.parts else {}
+        return {name: float(value) for name, value in own.items()}
 
     def positions(self, readings_rad: Array) -> Array:
         """Where the shaft was when the sensor showed these readings, rad: without the sensor's curvature."""

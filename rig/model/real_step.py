@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 from rig.core.motor_numbers import Frame, RealMotor, State
@@ -16,8 +17,9 @@ from rig.model.library import LIBRARY, numbers
 NO_STOPS = numbers(-math.inf, math.inf)
 
 
+@lru_cache(maxsize=128)
 def in_c(m: RealMotor, frame: Frame) -> Any:
-    """Both as the library takes them."""
+    """Both as the library takes them, and never changes them."""
     return numbers(*m, *frame)
 
 

@@ -32,8 +32,6 @@ from rig.core.plug_ins import PlugInError
 from rig.core.signals import BenchDelay, Order
 from rig.design.advisor import Advice, AdvisorSettings
 from rig.design.planned_test import Design, PlannedTest, Reach, RelayGains, Strokes
-from rig.model.friction import coulomb
-from rig.model.motor import Motor
 from rig.model.real_motor import FramedMotor
 from rig.run_folder import results
 from rig.run_folder.recording.errors import RecordingError
@@ -383,19 +381,16 @@ def _broken(recording: Recording, name: str, value: object) -> RecordingError:
     return RecordingError(recording.source / META, f"{name} is {value!r}", _RECORD_AGAIN)
 
 
-def _models(recording: Recording) -> dict[Method, tuple[Motor | FramedMotor, float]]:
+def _models(recording: Recording) -> dict[Method, tuple[FramedMotor, float]]:
     """The models that tracked, in order, each with the delay that the device did not report, s."""
     return dict(
         _made(recording, event, results.DrivenModel, _driven) for event in recording.events if event.kind == "model"
     )
 
 
-def _driven(model: results.DrivenModel) -> tuple[Method, tuple[Motor | FramedMotor, float]]:
+def _driven(model: results.DrivenModel) -> tuple[Method, tuple[FramedMotor, float]]:
     """By its method, a model that tracked and its further delay, s. Raises ValueError where its numbers are none."""
-    if model.half_travel_rad is not None:
-        return model.method, (FramedMotor.of(model.numbers), model.further_delay_s)
-    motor = Motor(model.tau_s, model.K_rad_s_V, coulomb(model.fc_V), model.bias_V)
-    return model.method, (motor, model.further_delay_s)
+    return model.method, (FramedMotor.of(model.numbers), model.further_delay_s)
 
 
 def _leases(recording: Recording) -> Callable[[int], float | None]:

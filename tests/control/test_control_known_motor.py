@@ -10,7 +10,7 @@ from evidence import evidence
 from numpy.typing import NDArray
 from simulated_bench import DEMO, LIMITS, PERIOD_S, simulated_bench
 
-from rig.control.known_motor import NOT_COMPENSATED, RealKnown
+from rig.control.known_motor import NOT_COMPENSATED, KnownMotor
 from rig.control.observer import MotorObserver
 from rig.control.tracking import Tracking, tracking_error
 from rig.control.trajectory import SumOfSines
@@ -77,7 +77,7 @@ def test_a_drive_that_knows_the_part_halves_the_error(part: str) -> None:
 def test_every_part_is_made_up_for_or_named() -> None:
     assert SIZES.keys() | NEVER_SHOWN | set(NOT_COMPENSATED) == PARTS.keys()
     numbers = {name: 0.1 for part in NOT_COMPENSATED for name in PARTS[part]}
-    known = RealKnown(FramedMotor(CORE._replace(**numbers, delay_s=0.01), FRAME))
+    known = KnownMotor(FramedMotor(CORE._replace(**numbers, delay_s=0.01), FRAME))
     assert known.motor == CORE
 
 

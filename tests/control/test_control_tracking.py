@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from simulated_bench import DEMO_MOTOR, LIMITS, PERIOD_S, simulated_bench
 
 from rig.config.schema import TrackingSection
-from rig.control.known_motor import known
+from rig.control.known_motor import KnownMotor
 from rig.control.observer import MotorObserver
 from rig.control.tracking import Tracking, linearising_drive, tracking_error
 from rig.control.trajectory import Reference, SumOfSines
@@ -21,8 +21,13 @@ from rig.core.signals import Sample
 from rig.model.error_decay import K1_1_S, K2_1_S2, ErrorDecay
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
+from rig.model.real_motor import Frame, FramedMotor, plain
 
 YD = [(0.5, 1.5), (0.2, 3.1)]
+
+
+def framed(motor: Motor) -> FramedMotor:
+    return FramedMotor(plain(motor), Frame())
 
 
 @given(
@@ -34,7 +39,8 @@ def test_the_drive_makes_the_error_obey_35(
 ) -> None:
     """Substitute (33), (34) into the plant: e'' + k1 e' + k2 e = 0 exactly, friction and bias cancelled."""
     motor = Motor(tau, K, coulomb(fc), bias)
-    u = linearising_drive(known(motor), State(v, y), Reference(yd, vd, ad), (12.0, 36.0), v)
+    known = KnownMotor(framed(motor))
+    u = linearising_drive(known, known.moved(known.at_rest(0.0), v, y), Reference(yd, vd, ad), (12.0, 36.0), v)
     friction = fc * math.copysign(1.0, v) if v else 0.0
     acceleration = (K * (u + bias - friction) - v) / tau
     residual = (ad - acceleration) + 12.0 * (vd - v) + 36.0 * (yd - y)
@@ -54,8 +60,8 @@ def test_reference_derivatives_match_its_positions_and_it_starts_at_rest() -> No
 def track(model: Motor, sign: Literal["reference", "estimate"] = "reference", seed: int = 1) -> float:
     bench = simulated_bench(seed=seed)
     bench.guard.sign_proven = True
-    observer = MotorObserver(model, PERIOD_S, 0.003)
-    law = Tracking(model, observer, SumOfSines(YD), 12.0, 36.0, 8.0, sign)
+    observer = MotorObserver(framed(model), PERIOD_S, 0.003)
+    law = Tracking(framed(model), observer, SumOfSines(YD), 12.0, 36.0, 8.0, sign)
     truth: list[float] = []
     reference: list[float] = []
     times: list[float] = []
@@ -98,7 +104,8 @@ def test_from_an_offset_the_true_models_error_dies_away_as_designed() -> None:
     def farthest_rad(model: Motor) -> float:
         bench = simulated_bench(seed=1)
         bench.guard.sign_proven = True
-        law = Tracking(model, MotorObserver(model, PERIOD_S, 0.003), SumOfSines(YD), 12.0, 36.0, 1.5, offset_rad=0.1)
+        known = framed(model)
+        law = Tracking(known, MotorObserver(known, PERIOD_S, 0.003), SumOfSines(YD), 12.0, 36.0, 1.5, offset_rad=0.1)
         off: list[float] = []
 
         def watch(t_s: float) -> None:
@@ -127,7 +134,7 @@ def test_tracking_error_is_the_rms_and_the_largest_after_the_fade() -> None:
 @pytest.mark.parametrize("tachometer", [None, 0.05])
 def test_the_observer_sees_velocity_through_noise_and_predicts_over_the_delay(tachometer: float | None) -> None:
     bench = simulated_bench(tachometer_rad_s_per_count=None if tachometer is None else 0.05)
-    observer = MotorObserver(DEMO_MOTOR, PERIOD_S, 0.003, tachometer_noise_rad_s=tachometer)
+    observer = MotorObserver(framed(DEMO_MOTOR), PERIOD_S, 0.003, tachometer_noise_rad_s=tachometer)
     errors: list[float] = []
     held = [0.0]
     rng = np.random.default_rng(3)
@@ -158,7 +165,7 @@ def test_the_observer_sees_velocity_through_noise_and_predicts_over_the_delay(ta
 @pytest.mark.parametrize("reports", [True, False])
 def test_the_observer_predicts_over_any_number_of_ticks(waits_s: float, further_s: float, reports: bool) -> None:
     """Its state is the true one at the time when the drive decided now comes to the motor."""
-    observer, rng = MotorObserver(DEMO_MOTOR, PERIOD_S, 0.003), np.random.default_rng(3)
+    observer, rng = MotorObserver(framed(DEMO_MOTOR), PERIOD_S, 0.003), np.random.default_rng(3)
     observer.latency_s, observer.further_s = waits_s, further_s
     asked = [(k * PERIOD_S, float(rng.choice([-1.0, 1.0]))) for k in range(300)]
     acts_s, drives_V = np.array([(t_s + waits_s + further_s, u_V) for t_s, u_V in asked]).T
@@ -184,7 +191,8 @@ def test_one_time_of_effect_in_the_future_does_not_hold_back_the_drives_after_it
     period_s = PERIOD_S
     states = []
     for wrong_s in (0.0, 1000.0):
-        motor, observer = Motor(0.17, 6.5, coulomb(0.0)), MotorObserver(Motor(0.17, 6.5, coulomb(0.0)), PERIOD_S, 0.003)
+        motor = Motor(0.17, 6.5, coulomb(0.0))
+        observer = MotorObserver(framed(motor), PERIOD_S, 0.003)
         shaft, u_V = State(), 0.0
         for k in range(200):
             t_u_s = period_s * (k - 0.9) + (wrong_s if k == 50 else 0.0)

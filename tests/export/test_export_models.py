@@ -24,7 +24,7 @@ from run_with_laws import GOLDEN, LAWS, PERIOD_S, PLAIN, drive, motor_of, own_mo
 from scipy.io import loadmat
 from wpimath.controller import ArmFeedforward, SimpleMotorFeedforwardRadians
 
-from rig.control.known_motor import known
+from rig.control.known_motor import KnownMotor
 from rig.control.relay import DualChannelRelay
 from rig.core.signals import Sample
 from rig.identification import identify
@@ -175,7 +175,7 @@ def test_wpilib_computes_the_drive_that_rig_asks_for(exported: Callable[..., Pat
     gains = {name: one["value"] for name, one in file["gains"].items()}
     assert [one["unit"] for one in file["gains"].values()][:3] == ["V", "V s/rad", "V s^2/rad"]
     assert file["gains"]["kA"]["ci95"][0] < gains["kA"] < file["gains"]["kA"]["ci95"][1]
-    motor = known(motor_of(run_in(folder)))
+    motor = KnownMotor(motor_of(run_in(folder)))
     for v_rad_s, y_rad, a_rad_s2 in [(2.0, 0.0, 0.0), (1.0, 0.7, 20.0), (-3.0, -0.4, -10.0)]:
         ours = motor.drive_V(motor.moved(motor.at_rest(0.0), v_rad_s, y_rad), a_rad_s2, v_rad_s)
         if "kG" in gains:

@@ -13,6 +13,7 @@ from rig.control.observer import MotorObserver
 from rig.control.tracking import Tracking
 from rig.control.trajectory import Reference
 from rig.core.calibration import DriveMap
+from rig.model.real_motor import Frame, FramedMotor, plain
 
 
 class Ramp:
@@ -29,12 +30,13 @@ class Ramp:
         return Reference(self.start_rad + share * (self.to_rad - self.start_rad), v, 0.0)
 
 
-BENCH = PreRunBench(DEMO_MOTOR, 0.0, 0.003, 0.0012, CALIBRATION, DriveMap(12.0), RAILS, PERIOD_S)
+MOTOR = FramedMotor(plain(DEMO_MOTOR), Frame())
+BENCH = PreRunBench(MOTOR, 0.0, 0.003, 0.0012, CALIBRATION, DriveMap(12.0), RAILS, PERIOD_S)
 
 
 def tracking(to_rad: float, within_s: float = 1.0) -> Tracking:
-    observer = MotorObserver(DEMO_MOTOR, PERIOD_S, 0.003)
-    return Tracking(DEMO_MOTOR, observer, Ramp(to_rad, within_s), 12.0, 40.0, 2.0)
+    observer = MotorObserver(MOTOR, PERIOD_S, 0.003)
+    return Tracking(MOTOR, observer, Ramp(to_rad, within_s), 12.0, 40.0, 2.0)
 
 
 def test_one_that_stays_inside_may_drive_the_bench() -> None:

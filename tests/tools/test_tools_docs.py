@@ -47,6 +47,19 @@ def test_what_a_page_names_must_be_where_it_says() -> None:
     ]
 
 
+def test_the_end_of_a_path_is_that_of_one() -> None:
+    assert list(check_docs.lost_places("`tools/test_tools_docs.py`, `tests/tools/test_tools_docs.py`")) == []
+    gone = "no_such/check_docs" + ".py"  # apart, else this file would name it
+    assert list(check_docs.lost_places(f"`{gone}`")) == [f"names {gone}, which is the end of no path"]
+
+
+def test_a_question_of_the_map_has_one_file() -> None:
+    assert list(check_docs.unanswered("| Which laws? | `tools/check_docs.py` |\n| May it | be anything |")) == []
+    unsure = "| Which laws? | `tools/check_docs.py`, `tools/figures.py` |\n| Whose? | nobody's |\n"
+    found = [line.split(" One ")[0] for line in check_docs.unanswered(unsure)]
+    assert found == ["asks: Which laws?", "asks: Whose?"]
+
+
 def test_sections_are_what_their_headings_number() -> None:
     assert list(sections(THEORY)) == ["1", "1.1", "1.2"]
     assert "v = K u" in sections(THEORY)["1.1"]

@@ -17,12 +17,10 @@ from rig.control.state_feedback import DriveLimits, Loop, StateFeedback
 from rig.control.trajectory import Reference
 from rig.core.signals import Sample
 from rig.design.tune.margins import Matrices, controller_matrices, margins, motor_matrices, noise_V
-from rig.design.tune.trial import Sensing, driven
+from rig.design.tune.trial import Sensing, driven, shaft_of
 from rig.design.tune.tuning import gains_for
 from rig.design.tune.uncertain import LinearMotor
-from rig.model.friction import coulomb
-from rig.model.motor import Motor, MovingPlainMotor
-from rig.model.real_motor import FramedMotor
+from rig.model.real_motor import Frame, FramedMotor, RealMotor
 
 PERIOD_S = 0.01
 # tau, K, lag and delay: less than a period, a part beyond one, whole periods, a stage that lags
@@ -42,13 +40,9 @@ class Zero(PositionStep):
         return Reference(0.0, 5e-324, 0.0)
 
 
-def known(motor: LinearMotor) -> Motor | FramedMotor:
+def known(motor: LinearMotor) -> FramedMotor:
     """The motor without friction."""
-    if motor.lag_s == 0.0:
-        return Motor(motor.tau_s, motor.K_rad_s_V, coulomb(0.0), 0.0)
-    return FramedMotor.of(
-        {"tau_s": motor.tau_s, "K_rad_s_V": motor.K_rad_s_V, "fc_V": 0.0, "bias_V": 0.0, "lag_s": motor.lag_s}
-    )
+    return FramedMotor(RealMotor(motor.tau_s, motor.K_rad_s_V, 0.0, lag_s=motor.lag_s), Frame())
 
 
 def observer_of(motor: LinearMotor) -> MotorObserver:
@@ -101,9 +95,7 @@ def test_the_noise_of_the_drive_is_what_a_simulation_shows() -> None:
     gains = gains_for("position", 8.0, motor.tau_s)
     controller = controller_matrices(motor, observer_of(motor), gains, PERIOD_S)
     law = StateFeedback(known(motor), observer_of(motor), gains, Zero(0.0, 1.0, math.inf), DriveLimits(math.inf, 0.0))
-    plain = known(motor)
-    assert isinstance(plain, Motor)
-    record = driven(MovingPlainMotor(plain, 0.0), law, Sensing(PERIOD_S, 0.003, 0.0, math.inf), motor.delay_s, 60.0, 1)
+    record = driven(shaft_of(known(motor)), law, Sensing(PERIOD_S, 0.003, 0.0, math.inf), motor.delay_s, 60.0, 1)
     expected_V = noise_V(controller, motor_matrices(motor, PERIOD_S), 0.003)
     assert np.std(record.u_V[200:]) == pytest.approx(expected_V, rel=0.05)
 

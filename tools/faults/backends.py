@@ -39,14 +39,15 @@ from rig.backends.servo.line import emulated_bus, servo_of, setup_of
 from rig.backends.servo.models import ServoModel
 from rig.config.schema import Experiment
 from rig.control.guard import WINDOW_S, GuardSettings
-from rig.control.known_motor import known
+from rig.control.known_motor import KnownMotor
 from rig.control.motion import CycleWatch
 from rig.control.relay import DualChannelRelay
 from rig.control.tracking import linearising_drive
 from rig.control.trajectory import SumOfSines
 from rig.core.signals import Sample
 from rig.model.bench import BenchParameters
-from rig.model.motor import State
+from rig.model.motor import Motor, State
+from rig.model.real_motor import Frame, FramedMotor, plain
 from rig.running.experiment.tracked import FADE_S
 from rig.running.preflight.breakaway_strokes import breakaway_strokes
 from rig.running.preflight.room_to_stop import guard_settings_of
@@ -242,11 +243,17 @@ def _reversal_s(experiment: Experiment, cycle_s: float) -> float:
     return worst_s
 
 
+def _known(motor: Motor) -> KnownMotor:
+    """As a law knows it that makes up for Coulomb friction alone."""
+    return KnownMotor(FramedMotor(plain(motor)._replace(static_V=0.0), Frame()))
+
+
 def _unmoved_s(experiment: Experiment) -> float:
     """As ``Times.unmoved``: a shaft that stands where the reference is at some instant, and does not move on."""
     if experiment.tracking is None:
         return math.nan
     tracking, motor = experiment.tracking, _bench(experiment).motor
+    known = _known(motor)
     reference = SumOfSines([(c.amplitude_rad, c.omega_rad_s) for c in tracking.trajectory], fade_s=FADE_S)
     gains = tracking.k1_1_s, tracking.k2_1_s2
     well_V = _WELL_ABOVE * max(motor.friction.static_plus_V, motor.friction.static_minus_V)
@@ -256,7 +263,7 @@ def _unmoved_s(experiment: Experiment) -> float:
         held_s, side = 0.0, 0
         for t_s in (t for t in times_s if t >= from_s):
             at = reference.at(t_s)
-            u_V = linearising_drive(known(motor), State(0.0, from_rad), at, gains, at.v_rad_s)
+            u_V = linearising_drive(known, known.at_rest(from_rad), at, gains, at.v_rad_s)
             now = (u_V > well_V) - (u_V < -well_V)
             held_s, side = (held_s + experiment.period_s if now == side != 0 else 0.0), now
             if held_s >= 2.0 * GuardSettings.stuck_s:
@@ -301,13 +308,14 @@ def _tracked_rad(experiment: Experiment) -> list[float]:
     """Where the shaft is in the tracking, from its start at rest, each step of the model."""
     tracking, motor = experiment.tracking, _bench(experiment).motor
     assert tracking is not None
+    known = _known(motor)
     gains = tracking.k1_1_s, tracking.k2_1_s2
     reference = SumOfSines([(c.amplitude_rad, c.omega_rad_s) for c in tracking.trajectory], fade_s=FADE_S)
     state, y_rad = State(), []
     for k in range(round(tracking.duration_s / _STEP_S)):
         at = reference.at(k * _STEP_S)
-        u_V = linearising_drive(known(motor), state, at, gains, at.v_rad_s)
-        state = motor.advance(state, u_V, _STEP_S)
+        shown = known.moved(known.at_rest(0.0), state.v, state.y)
+        state = motor.advance(state, linearising_drive(known, shown, at, gains, at.v_rad_s), _STEP_S)
         y_rad.append(state.y)
     return y_rad
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 from rig.backends.clock import VirtualClock
@@ -15,7 +15,6 @@ from rig.core.calibration import ALL_COUNTS, Calibration, DriveMap, Scaling
 from rig.core.faults import Fault
 from rig.core.signals import Order
 from rig.model.bench import BenchParameters
-from rig.model.motor import Motor
 from rig.model.real_motor import FramedMotor
 from rig.run_folder.recording.sink import NullSink
 
@@ -24,7 +23,7 @@ from rig.run_folder.recording.sink import NullSink
 class PreRunBench:
     """What rig knows of the bench: the best model, the shaft's position, noise, delay, the order of a tick."""
 
-    motor: Motor | FramedMotor
+    motor: FramedMotor
     start_rad: float
     noise_rad: float
     latency_s: float
@@ -50,7 +49,9 @@ def pre_run(law: Rehearsed, bench: PreRunBench, guard: GuardSettings) -> str | N
     clock = VirtualClock()
     calibration = bench.calibration
     parameters = BenchParameters(
-        motor=bench.motor if isinstance(bench.motor, Motor) else bench.motor.plain,
+        motor=bench.motor.plain,
+        real=bench.motor.motor._replace(delay_s=0.0),
+        frame=bench.motor.frame,
         start_rad=bench.start_rad,
         stop_rad=(-1e6, 1e6),
         rad_per_count=calibration.lsb_rad * calibration.direction,
@@ -62,8 +63,6 @@ def pre_run(law: Rehearsed, bench: PreRunBench, guard: GuardSettings) -> str | N
         drive_counts=bench.drive_map.full_units,
         drive_delay_s=bench.further_delay_s,
     )
-    if isinstance(bench.motor, FramedMotor):
-        parameters = replace(parameters, real=bench.motor.motor._replace(delay_s=0.0), frame=bench.motor.frame)
     plain = DriveMap(bench.drive_map.full_V, full_units=bench.drive_map.full_units)
     driver = SimulatedDriver(
         clock,

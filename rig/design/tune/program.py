@@ -111,8 +111,8 @@ def _slow(tuned: Tuned, travel_rad: float) -> float:
     """Bandwidth of the first move, rad/s: wherever it begins, it takes half the speed that the motor has at the drive
     that friction leaves.
     """
-    linear, plain = tuned.motor.linear, tuned.motor.framed.plain
-    spare_V = tuned.sensing.largest_V - plain.friction.plus_V - abs(plain.bias_V)
+    linear, plain = tuned.motor.linear, tuned.motor.framed.motor
+    spare_V = tuned.sensing.largest_V - plain.fc_V - abs(plain.bias_V)
     top_rad_s = 0.5 * min(linear.K_rad_s_V * spare_V, tuned.wish.top_rad_s)
     # a step of the model has its largest speed, step w / e, at 1/w
     return min(0.64 * math.e * top_rad_s / travel_rad, 0.5 * tuned.bandwidth_1_s, 0.5 / linear.tau_s)

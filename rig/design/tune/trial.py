@@ -14,7 +14,6 @@ from rig.control.state_feedback import Loop
 from rig.core.arrays import Array
 from rig.core.signals import Sample
 from rig.design.tune.margins import periods_of
-from rig.model.motor import MovingPlainMotor
 from rig.model.real_motor import FramedMotor, MovingMotor
 
 BAND = 0.05  # of the step: within it the shaft has settled
@@ -69,7 +68,7 @@ class Shaft(Protocol):
 
 def shaft_of(framed: FramedMotor) -> Shaft:
     """A motor at rest at 0 rad."""
-    return MovingMotor(framed.motor, framed.frame, 0.0) if framed.parts else MovingPlainMotor(framed.plain, 0.0)
+    return MovingMotor(framed.motor, framed.frame, 0.0)
 
 
 class Record(NamedTuple):

@@ -131,7 +131,7 @@ class Tuned:
     def law(self, program: Program) -> StateFeedback:
         """The law, made anew: it remembers."""
         limits = DriveLimits(self.sensing.largest_V, self.sensing.shown_rad)
-        return StateFeedback(self.motor.known, observer_of(self.motor, self.sensing), self.gains, program, limits)
+        return StateFeedback(self.motor.framed, observer_of(self.motor, self.sensing), self.gains, program, limits)
 
     def responses(self) -> list[NDArray[np.complex128]]:
         """The open loop's response from a tenth of the bandwidth on: of the motor itself, then of each corner."""
@@ -150,7 +150,7 @@ class Tuned:
 
 def observer_of(motor: UncertainMotor, sensing: Sensing) -> MotorObserver:
     """The observer of a bench that does not report its delay."""
-    observer = MotorObserver(motor.known, sensing.period_s, sensing.whole_noise_rad)
+    observer = MotorObserver(motor.framed, sensing.period_s, sensing.whole_noise_rad)
     observer.latency_s = motor.delay_s
     return observer
 
@@ -253,8 +253,8 @@ def _forbidden(
 
 def _reference_needs(motor: UncertainMotor, wish: Wish, bandwidth_1_s: float) -> tuple[float, float]:
     """Largest drive, V, and speed, rad/s, of the step's reference on the identified motor with its plain friction."""
-    linear, plain = motor.linear, motor.framed.plain
-    friction_V = plain.friction.plus_V + abs(plain.bias_V)
+    linear, plain = motor.linear, motor.framed.motor
+    friction_V = plain.fc_V + abs(plain.bias_V)
     program: Program
     if wish.loop == "position":
         step = PositionStep(wish.step, bandwidth_1_s, math.inf)

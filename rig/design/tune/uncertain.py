@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.core.arrays import Array
-from rig.model.motor import Motor
 from rig.model.real_motor import FramedMotor
 
 OF = ("tau_s", "K_rad_s_V", "fc_V", "bias_V", "delay_s")
@@ -46,11 +45,6 @@ class UncertainMotor:
     delay_s: float
     half_95: tuple[float, ...]
     correlation: Array
-
-    @property
-    def known(self) -> Motor | FramedMotor:
-        """The motor for a law: plain if it has no other laws."""
-        return self.framed if self.framed.parts else self.framed.plain
 
     @property
     def linear(self) -> LinearMotor:

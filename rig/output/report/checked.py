@@ -104,14 +104,13 @@ def decay(run: ReportedRun) -> Picture:
 
 
 def _real_motors(run: ReportedRun) -> dict[str, FramedMotor]:
-    """By method, the models with laws that drove; a damaged one is left out: its readings are shown as they are."""
+    """By method, the models that drove; a damaged one is left out: its readings are shown as they are."""
     found = {}
     for event in run.events:
         if event.kind == "model":
             with suppress(DamagedError, ValueError):
                 driven = parsed(DrivenModel, event.detail)
-                if driven.half_travel_rad is not None:
-                    found[driven.method] = FramedMotor.of(driven.numbers)
+                found[driven.method] = FramedMotor.of(driven.numbers)
     return found
 
 

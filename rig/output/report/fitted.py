@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 
 from rig.core.arrays import Array
 from rig.core.estimators import MAIN
-from rig.model.real_motor import FramedMotor
 from rig.output.report.budget import budget_in_words
 from rig.output.report.model_curves import average, cycles_of, models, predict_cycles
 from rig.output.report.source import ReportedRun, Span
@@ -74,7 +73,7 @@ def averaged_cycle(run: ReportedRun, span: Span) -> Picture:
         at_residual, mean_residual, _ = average(phase, residual, bins)
         top.plot(at, mean, "o", color=MEASURED, ms=2.6, mew=0, label="measured, averaged")
         top.plot(at_model, mean_model, color=colour(method), ls=line(method), lw=1.4, label=f"{short(method)} model")
-        top.set_title(method.replace("-", " ") + (" with its laws" if isinstance(motor, FramedMotor) else ""))
+        top.set_title(method.replace("-", " ") + (" with its laws" if motor.parts else ""))
         top.legend(loc="lower center", handlelength=2.4)  # below the crest, where the curve is not
         bottom.axhline(0.0, color=MUTED, lw=0.7)
         bottom.plot(phase, residual, ".", color=colour(method), ms=1.6, alpha=0.35, mew=0, rasterized=True)

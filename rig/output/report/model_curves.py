@@ -10,14 +10,12 @@ from itertools import pairwise
 import numpy as np
 
 from rig.core.arrays import Array
-from rig.core.estimators import LEADING, MAIN
+from rig.core.estimators import LEADING
 from rig.identification.cycles import find_cycle
 from rig.identification.descent import Point, descend
 from rig.identification.identification import Identification, identify
-from rig.identification.known_model import model_of
+from rig.identification.known_model import model_of, plain_motor
 from rig.identification.preprocessing import from_recording
-from rig.model.friction import Friction
-from rig.model.motor import Motor, State
 from rig.model.real_motor import FramedMotor, readings_of, windows_of
 from rig.output.report.source import ReportedRun, Span, words_of
 from rig.output.report.style import AbsentError
@@ -115,18 +113,15 @@ def answer_motor(run: ReportedRun) -> FramedMotor | None:
         return None
 
 
-def motor_of(estimate: EstimateResult | None) -> Motor | None:
+def motor_of(estimate: EstimateResult) -> FramedMotor | None:
     """The estimated model; None if the estimate has no usable parameters."""
-    if estimate is None:
+    try:
+        return plain_motor(estimate)
+    except ValueError:
         return None
-    tau, gain, fc = (known(estimate.value(key)) for key in MAIN)
-    if not (math.isfinite(fc) and tau > 0.0 and gain > 0.0 and fc >= 0.0):
-        return None
-    asym = known(estimate.asym_V)
-    return Motor(tau, gain, Friction(fc, fc, fc, fc), bias_V=asym if math.isfinite(asym) else 0.0)
 
 
-def models(run: ReportedRun) -> dict[str, tuple[EstimateResult, Motor | FramedMotor]]:
+def models(run: ReportedRun) -> dict[str, tuple[EstimateResult, FramedMotor]]:
     """The estimates that are models, by method: the answer, and those of the other methods beside it.
 
     A refused answer is a model, too: its residual shows what is wrong.
@@ -136,15 +131,13 @@ def models(run: ReportedRun) -> dict[str, tuple[EstimateResult, Motor | FramedMo
     if answer is not None:
         found = {answer.method: answer} | {m: e for m, e in found.items() if m != answer.method}
     real = answer_motor(run)
-    motors: dict[str, Motor | FramedMotor | None] = {method: motor_of(estimate) for method, estimate in found.items()}
-    if answer is not None and real is not None and real.parts:
+    motors = {method: motor_of(estimate) for method, estimate in found.items()}
+    if answer is not None and real is not None:
         motors[answer.method] = real
     return {m: (found[m], motor) for m, motor in motors.items() if motor is not None}
 
 
-def predict_cycles(
-    run: ReportedRun, estimate: EstimateResult, motor: Motor | FramedMotor, cycles: Cycles
-) -> list[Predicted]:
+def predict_cycles(run: ReportedRun, estimate: EstimateResult, motor: FramedMotor, cycles: Cycles) -> list[Predicted]:
     """Predict each cycle under its recorded drive by one of ``models``, from the start (v0, y0) that fits best."""
     series = cycles.series
     delays_s = [known(e.delay_s) for e in (estimate, run.estimates.get(LEADING)) if e is not None]
@@ -154,7 +147,7 @@ def predict_cycles(
     ]
 
 
-def predicted(motor: Motor | FramedMotor, series: TimeSeries, part: slice, delays_s: Sequence[float] = ()) -> Predicted:
+def predicted(motor: FramedMotor, series: TimeSeries, part: slice, delays_s: Sequence[float] = ()) -> Predicted:
     """Predict a part of a test under its recorded drive, from the start (v0, y0) that fits best.
 
     part      of the rows of ``series``
@@ -173,14 +166,10 @@ def predicted(motor: Motor | FramedMotor, series: TimeSeries, part: slice, delay
     one_piece = np.zeros(1, dtype=np.int64)
 
     def path(start: Array) -> tuple[Array, Array]:
-        v0, y0 = map(float, start)
-        if isinstance(motor, FramedMotor):
-            windows = windows_of([(motor.frame, (edge, drive), t, one_piece)])
-            begun = np.array([[v0, y0, np.sign(v0), np.sign(v0)]])  # with play and bristles as a motion leaves them
-            shown = readings_of(motor.motor, windows, begun).y_rad
-            return shown, central_difference(t, shown)
-        states = motor.response(State(v0, y0), t, edge, drive)
-        return states[:, 1], states[:, 0]
+        windows = windows_of([(motor.frame, (edge, drive), t, one_piece)])
+        way = np.sign(start[0])
+        shown = readings_of(motor.motor, windows, np.array([[*start, way, way]])).y_rad  # play, bristles: as in motion
+        return shown, central_difference(t, shown)
 
     def rows(start: Array) -> tuple[Array, Array]:
         left = path(start)[0] - y

@@ -15,7 +15,6 @@ from rig.identification.identification import Identification
 from rig.identification.known_model import model_of
 from rig.identification.measurements import at_their_times
 from rig.identification.preprocessing import from_recording
-from rig.model.motor import Motor
 from rig.model.real_motor import FramedMotor
 from rig.output.report.model_curves import predicted
 from rig.output.report.style import (
@@ -94,13 +93,12 @@ def simulated(found: Identification) -> list[Simulated]:
             shown[-1].append(test)
         else:
             shown.append([test])
-    moves = motor if motor.parts else motor.plain
-    return [_of_parts(parts, moves, estimate.delay_s) for parts in shown]
+    return [_of_parts(parts, motor, estimate.delay_s) for parts in shown]
 
 
-def _of_parts(parts: Sequence[TimeSeries], moves: FramedMotor | Motor, delay_s: float) -> Simulated:
+def _of_parts(parts: Sequence[TimeSeries], motor: FramedMotor, delay_s: float) -> Simulated:
     """What lies between the gaps of one recording, side by side, each with a start of its own."""
-    y_rad = np.concatenate([predicted(moves, part, slice(None), (delay_s,)).y_rad for part in parts])
+    y_rad = np.concatenate([predicted(motor, part, slice(None), (delay_s,)).y_rad for part in parts])
     t_s, measured_rad = (np.concatenate([getattr(part, name) for part in parts]) for name in ("t_s", "y_rad"))
     return Simulated(parts[0].name, t_s - t_s[0], measured_rad, y_rad, len(parts))
 
@@ -120,7 +118,7 @@ def predicted_record(answer: Answer, recording: Recording) -> Simulated:
     motor = replace(motor, motor=motor.motor._replace(drift=0.0))
     name = recording.source.name
     parts = at_their_times(from_recording(recording, slice(0, len(recording)), name)[0])[0]
-    return _of_parts(parts, motor if motor.parts else motor.plain, known(answer.delay_s))
+    return _of_parts(parts, motor, known(answer.delay_s))
 
 
 def beyond(answer: Answer, recording: Recording) -> str:

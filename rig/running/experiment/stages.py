@@ -38,7 +38,6 @@ from rig.identification.known_model import model_of, plain_motor
 from rig.identification.preprocessing import from_recording
 from rig.identification.stroke_delay import strokes_delay
 from rig.model.cycle_detector import CycleDetector
-from rig.model.motor import Motor
 from rig.model.real_motor import FramedMotor
 from rig.run_folder.live.lease import NAME as LEASE
 from rig.run_folder.live.lease import HeldLease
@@ -569,13 +568,13 @@ def verify_models(session: Session) -> None:
         return
     answer, estimates = found.models.answer, found.models.estimates
     trusted, first = model_of(answer, in_its_time=True), estimates.get(LEADING)
-    safe: dict[Method, Motor | FramedMotor] = {}
+    safe: dict[Method, FramedMotor] = {}
     further_delay_s = _further_delay_s(session)
     for method in e.tracking.methods:
         estimate = estimates.get(method)
-        model: Motor | FramedMotor | None
+        model: FramedMotor | None
         if answer is not None and method == answer.method and trusted is not None and e.tracking.with_law:
-            model = trusted if trusted.parts else plain_motor(answer)
+            model = trusted
             reason = _why_not(session, model, trusted)
         elif trusted is None or (first is not None and first.verdict == "refused"):
             # if the best estimator refuses the recording, a reference method's model must not drive the bench either
@@ -593,25 +592,18 @@ def verify_models(session: Session) -> None:
         session.found.tracking[method] = TrackingResult(not_run="the run ended before it")
         # a replay tracks with these models: it identifies nothing, and simulates nothing before
         further = {"further_delay_s": further_delay_s} if further_delay_s > 0.0 else {}
-        session.note("model", method=method, **_numbers(model), **further)
+        session.note("model", method=method, **model.numbers, **further)
     if safe:
         track(session, safe, further_delay_s)
 
 
-def _numbers(model: Motor | FramedMotor) -> dict[str, float]:
-    """All that a replay needs of a model."""
-    if isinstance(model, FramedMotor):
-        return model.numbers
-    return {"tau_s": model.tau_s, "K_rad_s_V": model.K_rad_s_V, "fc_V": model.friction.plus_V, "bias_V": model.bias_V}
-
-
-def _why_not(session: Session, model: Motor | FramedMotor, trusted: Motor | FramedMotor) -> str:
+def _why_not(session: Session, model: FramedMotor, trusted: FramedMotor) -> str:
     """Why a model must not drive the bench, in words, by a simulation on the trusted motor; empty if it may."""
     further_delay_s = _further_delay_s(session)
     return why_not(session, _tracking_law(session, model, further_delay_s), trusted, further_delay_s)
 
 
-def why_not(session: Session, law: Rehearsed, motor: Motor | FramedMotor, further_delay_s: float) -> str:
+def why_not(session: Session, law: Rehearsed, motor: FramedMotor, further_delay_s: float) -> str:
     """Why a law must not drive the bench, in words, by a simulation with that motor before it; empty if it may."""
     e, loop = session.experiment, session.loop
     settings, order = loop.guard.settings, session.bench.driver.order
@@ -631,7 +623,7 @@ def _further_delay_s(session: Session) -> float:
     return max(best.delay_s - session.loop.latency_s, 0.0)
 
 
-def track(session: Session, models: Mapping[Method, Motor | FramedMotor], further_delay_s: float = 0.0) -> None:
+def track(session: Session, models: Mapping[Method, FramedMotor], further_delay_s: float = 0.0) -> None:
     """Track the config's trajectory with each of the models, from rest.
 
     further_delay_s  from the drive that the device reports to the motion of the reading
@@ -655,7 +647,7 @@ def track(session: Session, models: Mapping[Method, Motor | FramedMotor], furthe
             session.found.tracking[method] = tracked.model_copy(update=errors)
 
 
-def _note_tracking(session: Session, method: Method, model: Motor | FramedMotor, largest_u_V: float) -> None:
+def _note_tracking(session: Session, method: Method, model: FramedMotor, largest_u_V: float) -> None:
     """The tracking run has come to its end: which laws its drive made up for, and whether it had all that it asked."""
     max_V = session.experiment.drive.max_V
     if largest_u_V > max_V:
@@ -667,7 +659,7 @@ def _note_tracking(session: Session, method: Method, model: Motor | FramedMotor,
     beyond = "" if answer is None else beyond_drive(answer.holds, min(largest_u_V, max_V))
     if beyond:
         session.found.notes.append(f"tracking with {method} had {beyond}: it says less of the model there")
-    if isinstance(model, Motor):
+    if not model.parts:
         session.found.tracking[method] = TrackingResult()
         return
     left_out = tuple(part for part in model.parts if part in NOT_COMPENSATED)
@@ -679,7 +671,7 @@ def _note_tracking(session: Session, method: Method, model: Motor | FramedMotor,
         session.found.notes.append(f"tracking with {method}: no drive makes up for {names}, which these tests show")
 
 
-def _tracking_law(session: Session, motor: Motor | FramedMotor, further_delay_s: float) -> Tracking:
+def _tracking_law(session: Session, motor: FramedMotor, further_delay_s: float) -> Tracking:
     e = session.experiment
     if e.tracking is None:
         raise ValueError("tracking needs a config with section tracking")

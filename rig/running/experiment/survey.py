@@ -16,8 +16,7 @@ from rig.core.signals import BenchDelay
 from rig.identification import Identification
 from rig.identification.verdict import PROMISE, RISK
 from rig.model.describing_function import Oscillation, linear_part
-from rig.model.friction import coulomb
-from rig.model.motor import Motor
+from rig.model.real_motor import Frame, FramedMotor, RealMotor
 from rig.run_folder.recording.stage import StageKind
 from rig.run_folder.results import known
 from rig.running.experiment.stages import REST_S, driving, identify_recorded, test_further, why_not
@@ -97,7 +96,7 @@ def _plan(session: Session, motor: CrudeMotor, loop: SweepLoop) -> SweepPlan:
 def _rehearse(session: Session, sweeps: Sweeps) -> None:
     """Run the sweeps on a simulated bench with the crude motor. Raises Fault NO_SWEEPS if they must not be run."""
     motor = sweeps.motor
-    believed = Motor(motor.tau_s, motor.K_rad_s_V, coulomb(motor.friction_V))
+    believed = FramedMotor(RealMotor(motor.tau_s, motor.K_rad_s_V, motor.friction_V), Frame())
     if reason := why_not(session, sweeps, believed, (session.delay or BenchDelay()).shown_s[1]):
         raise Fault("NO_SWEEPS", reason)
 

@@ -7,7 +7,6 @@ import numpy as np
 from rig.backends.emulated.shaft import ShaftPath
 from rig.control.tracking import Tracking, tracking_error
 from rig.core.arrays import Array
-from rig.model.motor import Motor
 from rig.model.real_motor import FramedMotor
 from rig.running.session import Session
 
@@ -15,17 +14,14 @@ FADE_S = 1.5  # of the tracking reference; errors count after it
 SHAFT_GAP_S = 0.02  # by which the path of an emulated shaft may be shorter than the samples
 
 
-def tracking_errors(
-    session: Session, law: Tracking, motor: Motor | FramedMotor, shaft: ShaftPath | None
-) -> dict[str, float]:
+def tracking_errors(session: Session, law: Tracking, motor: FramedMotor, shaft: ShaftPath | None) -> dict[str, float]:
     """RMS and largest error of a law that has come to its end, by their keys in result.json.
 
     motor  its model: the sensor's curvature that it knows is no error
     shaft  where the emulated shaft was, in the bench's own time; None: nobody knows
     """
     t_s, y_rad, yd_rad = np.array(law.taken).T
-    measured_rad = motor.positions(y_rad) if isinstance(motor, FramedMotor) else y_rad
-    rms_rad, max_rad = tracking_error(t_s, measured_rad, yd_rad, FADE_S)
+    rms_rad, max_rad = tracking_error(t_s, motor.positions(y_rad), yd_rad, FADE_S)
     found = {"rms_rad": rms_rad, "max_rad": max_rad}
     true_rad = _true_position(session, shaft, t_s)
     if true_rad is not None:
