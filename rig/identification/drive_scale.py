@@ -18,11 +18,11 @@ from typing import Final
 
 import numpy as np
 
-from rig.identification.motor_law import GRADES, NOT_KNOWN
+from rig.identification.motor_law import graded
 from rig.identification.verdict import ASKED, in_percent
 from rig.run_folder.recording.series import TimeSeries
 from rig.run_folder.recording.servo_law import OwnLoop
-from rig.run_folder.results import Answer, GradedNumber, known
+from rig.run_folder.results import Answer, known
 
 # of the share of tau and K, where something is shown to be late: with goals that jump, 8 to 15 ms late, f_c was off by
 # up to 2.7 times it in simulations
@@ -163,8 +163,8 @@ def _widened(answer: Answer, shares: Mapping[str, float], reasons: Sequence[str]
         value = known(answer.value(name))
         for halves in (u95, absolute):
             halves[name] = _wider(halves.get(name), share * abs(value)) if share > 0.0 else halves.get(name)
-        if name in grade:
-            grade[name] = _graded(grade[name], value, u95[name])
+        if share > 0.0 and name in grade and grade[name].value is not None:
+            grade[name] = graded(value, u95[name], abs(value))
     verdict = "doubtful" if reasons and answer.verdict == "ok" else answer.verdict
     return answer.model_copy(
         update={
@@ -179,11 +179,3 @@ def _widened(answer: Answer, shares: Mapping[str, float], reasons: Sequence[str]
 
 def _wider(half: float | None, more: float) -> float:
     return more if half is None else math.hypot(half, more)
-
-
-def _graded(before: GradedNumber, value: float, half: float | None) -> GradedNumber:
-    if before.grade == NOT_KNOWN:
-        return before
-    share = math.inf if half is None or not math.isfinite(value) or value == 0.0 else half / abs(value)
-    grade = next((grade for grade, most in GRADES.items() if share <= most), NOT_KNOWN)
-    return GradedNumber(value=value if grade != NOT_KNOWN else None, u95=half, grade=grade)

@@ -82,9 +82,9 @@ from rig.run_folder.results import (
     PredictsResult,
 )
 from rig.run_folder.results.answer import answer_of
+from rig.run_folder.results.answer_words import NOT_KNOWN
 
 GRADES = {"exact": ASKED, "good": 0.10, "rough": 0.25}  # half width of u95, relative to the number: at most
-NOT_KNOWN = "not known"
 WITH_DEAD_BAND = (
     "f_c has in it what a dead band of the drive would take: the drive never rests, nor pushes against the motion"
 )
@@ -107,6 +107,13 @@ AT_REST_V = tuple(
     name for name, number in NUMBERS.items() if number.at_rest
 )  # their sum holds a shaft at rest (docs/theory.md 8.4)
 CORE_OF = dict(zip((*CORE, DELAY), PARAMETERS, strict=True))
+
+
+def graded(value: float, half: float | None, size: float) -> GradedNumber:
+    """How good a number is, by its half width at 95 %, None: not known, beside a size."""
+    share = half / size if half is not None and size > 0.0 and math.isfinite(half) else math.inf
+    grade = next((grade for grade, most in GRADES.items() if share <= most), NOT_KNOWN)
+    return GradedNumber(value=None if grade == NOT_KNOWN else value, u95=half, grade=grade)
 
 
 @dataclass(frozen=True)
@@ -279,11 +286,7 @@ class MotorLaw:
         sizes, turns_both = sizes_of(estimate, largest_V), self.holds is None or self.holds.ways == "both"
         found = {}
         for name, size in sizes.items():
-            half = self.budget.u95[name]
-            share = half / size if math.isfinite(half) else math.inf
-            grade = next((grade for grade, most in GRADES.items() if share <= most), NOT_KNOWN)
-            known = grade != NOT_KNOWN
-            found[name] = GradedNumber(value=getattr(estimate, name) if known else None, u95=half, grade=grade)
+            found[name] = graded(getattr(estimate, name), self.budget.u95[name], size)
         if not turns_both:
             found["fc_less_bias_V"], found["fc_V"] = found["fc_V"], GradedNumber(grade=NOT_KNOWN)
         return found
