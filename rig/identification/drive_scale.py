@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from rig.identification.motor_law import graded
-from rig.identification.verdict import ASKED, in_percent
+from rig.identification.verdict import ASKED, TITLES, in_percent
 from rig.run_folder.recording.series import TimeSeries
 from rig.run_folder.recording.servo_law import OwnLoop
 from rig.run_folder.results import Answer, known
@@ -108,7 +108,12 @@ def by_bends(answer: Answer, moves: tuple[float, float, float]) -> Answer:
     """The answer with what is not known of the bends between samples: of tau and K, of themselves, and of f_c, V."""
     fc_V = abs(known(answer.value("fc_V")))
     shares = {"tau_s": moves[0], "K_rad_s_V": moves[1], "fc_V": moves[2] / fc_V if fc_V > 0.0 else 0.0}
-    return _widened(answer, shares if answer.u95 else {}, [])
+    worst = max(shares, key=lambda name: shares[name])
+    reason = (
+        f"{TITLES[worst]} is only known to {in_percent(shares[worst])} behind what was done to the velocity before it "
+        "was logged: log the position"
+    )
+    return _widened(answer, shares, [reason] if shares[worst] > ASKED else []) if answer.u95 else answer
 
 
 def by_steps(answer: Answer, step_V: float, largest_V: float) -> Answer:

@@ -32,20 +32,21 @@ from rig.identification.in_pieces import is_reversed
 from rig.identification.known_model import model_of
 from rig.identification.least_squares import METHOD as FRICTION_METHOD
 from rig.identification.least_squares import Transient
+from rig.identification.lost_counts import explains_more, lost_share, with_counts
 from rig.identification.mean_cycle import Cycle
 from rig.identification.measurements import Measurements, measurements
 from rig.identification.motor_law import MotorLaw, motor_law
 from rig.identification.opinion import RecordingEstimate
 from rig.identification.plausibility import hole_rows, is_cut_off, judge_motor, judge_records
-from rig.identification.preprocessing import from_recording
+from rig.identification.preprocessing import from_recording, with_stamps_of
 from rig.identification.records import left_out, require_known
 from rig.identification.sampled_data_verdict import is_early, judge_with_laws, late_s, slipped_rms_rad
 from rig.identification.sampled_velocity import SAID_SAMPLES, are_samples, as_sampled, bends
 from rig.identification.side_by_side import on_all_cores
 from rig.identification.smoothing import smoothings
 from rig.identification.stroke_delay import strokes_delay
-from rig.identification.time_stamps import drives_stand_late, stamps_off_by, with_stamps_of
-from rig.identification.verdict import by_prediction, largest_drive_V, reserved
+from rig.identification.time_stamps import drives_stand_late, stamps_by_motion, stamps_off_by
+from rig.identification.verdict import by_prediction, in_percent, largest_drive_V, reserved
 from rig.model.real_motor import FramedMotor
 from rig.run_folder.recording.curves import Curves
 from rig.run_folder.recording.errors import IdentifyError
@@ -243,6 +244,7 @@ def _identified(asked: _Asked, data: Measurements) -> Identification:
         found = _found(data)
         return found, _add_estimates(used, data, found, asked.by_name)
 
+    takes_stamps = _takes_stamps(data, None)
     found, errors = estimated()
     leading = found.estimates.get(LEADING)
     if leading is not None and _tells_no_motor(leading, data) and data.take_searches():
@@ -255,8 +257,7 @@ def _identified(asked: _Asked, data: Measurements) -> Identification:
         found, errors = estimated()
     if _takes_change(data, found.estimates.get(LEADING)):
         found, errors = estimated()
-    stamps = _stamps(data, found.estimates.get(LEADING))
-    if stamps:
+    if not takes_stamps and LEADING in found.estimates and _takes_stamps(data, found.estimates[LEADING]):
         found, errors = estimated()
     if not found.estimates:
         # the leading estimator needs the least data: what it misses, the recording lacks
@@ -264,15 +265,11 @@ def _identified(asked: _Asked, data: Measurements) -> Identification:
         raise errors.get(decisive) or [*data.complaints, *errors.values()][0]
     reads_tests = any(estimator.reads_relay_tests for estimator in wanted)
     each = estimates_of_each(data.sources, found.estimates.get(LEADING)) if len(recordings) > 1 and reads_tests else []
-    objections = [*_said(disagreement(each)), *data.supplies]
-    if stamps or objections:
-        found.estimates = {
-            method: replace(e.judged("doubtful", *stamps, *objections), reasons=(*stamps, *e.reasons, *objections))
-            for method, e in found.estimates.items()
-        }
+    _doubt_all(found, data.doubts, _said(disagreement(each)))
     static = _add_breakaway(recordings, without, found)
     if asked.choose_law:
         _add_motor_law(data, found, each, static, any(map(_was_known, recordings)))
+        found = _with_lost_counts(data, found, used, asked.by_name)
     _add_friction_map(recordings, without, found)
     is_own_loop = any(recording.own_loop for recording in recordings)
     found.unsure = [*data.unsure, *([] if is_own_loop else _by_steps(data.tests, found.leading))]
@@ -373,26 +370,25 @@ def _by_steps(tests: Sequence[TimeSeries], found: Estimate | None) -> list[Calla
     return [partial(by_steps, step_V=step_V, largest_V=largest_drive_V(tests))]
 
 
-def _stamps(data: Measurements, estimate: Estimate | None) -> list[str]:
-    """A sentence where the rows of plain files have the time stamps of other rows: then those of ``data`` have theirs.
+def _takes_stamps(data: Measurements, estimate: Estimate | None) -> bool:
+    """Whether the rows of plain files have the time stamps of other rows. Then those of ``data`` have theirs.
 
-    Empty where they have their own.
+    estimate  of the plain motor; None: by the motion alone
     """
-    if (
-        estimate is None
-        or estimate.spoiled
-        or any(test.stage is not None or hole_rows(test).size for test in data.tests)
-    ):
-        return []  # an unknown drive in a gap looks like other times, too
+    spoiled = estimate is not None and estimate.spoiled
+    if spoiled or any(test.stage is not None or hole_rows(test).size for test in data.tests):
+        return False  # an unknown drive in a gap looks like other times, too
     try:
-        rows = stamps_off_by(data.tests, estimate)
+        rows = stamps_by_motion(data.tests) if estimate is None else stamps_off_by(data.tests, estimate)
     except IdentifyError:
-        return []  # too short for pieces
+        return False  # too short for pieces
     if not rows:
-        return []
+        return False
     which = "before" if rows < 0 else "after"
     data.take(partial(with_stamps_of, rows=rows), f"the time stamps were moved by a row: {rows}")
-    return [f"each row seems to have the time stamp of the row {which}, and is fitted so: try --time-row {rows}"]
+    said = f"each row seems to have the time stamp of the row {which}, and is fitted so: try --time-row {rows}"
+    data.doubts.append(said)
+    return True
 
 
 def _wanted(methods: Sequence[str] | None) -> list[Estimator]:
@@ -565,7 +561,7 @@ def _add_motor_law(
         has_levels = any(one.law.name == LEVEL_EACH for one in law.found)  # then friction is what differs
         one_motor = has_levels or are_one_motor(each, law.estimate.rms_rad, numbers)
         odd = None if one_motor else disagreement(each)
-        objections = [*_said(odd or disagreement(law.alone)), *data.supplies, *law.bounded]
+        objections = [*_said(odd or disagreement(law.alone)), *data.doubts, *law.bounded]
         law = law.judged(largest_V, judged.judged("doubtful" if objections else "ok", *objections))
     found.motor_law = law
     found.notes += law.notes()
@@ -586,6 +582,39 @@ def _add_motor_law(
         found.estimates[LEADING] = found.estimates[LEADING].judged("doubtful", *law.bounded)
     if law.predicts is not None and law.estimate is None and LEADING in found.estimates:
         found.estimates[LEADING] = by_prediction(found.estimates[LEADING], law.predicts, noise_rad)
+
+
+def _doubt_all(found: Identification, first: Sequence[str], last: Sequence[str] = ()) -> None:
+    """No estimate is ok for these sentences, before and behind its own reasons."""
+    if first or last:
+        found.estimates = {
+            method: replace(one.judged("doubtful"), reasons=(*first, *one.reasons, *last))
+            for method, one in found.estimates.items()
+        }
+
+
+def _with_lost_counts(
+    data: Measurements, found: Identification, used: Sequence[Estimator], by_name: bool
+) -> Identification:
+    """The same of plain files whose encoder loses counts one way, with these counts; else as it is."""
+    law, plain = found.motor_law, found.estimates.get(LEADING)
+    if law is None or plain is None or any(test.stage is not None for test in data.tests):
+        return found
+    try:
+        share = lost_share(data.tests, plain, law)
+    except IdentifyError:
+        return found  # too short for pieces
+    if share == 0.0:
+        return found
+    mended = replace(data, sources=list(data.sources), changes=list(data.changes), notes=list(data.notes))
+    lost = f"{in_percent(abs(share))} of them {'forwards' if share > 0.0 else 'backwards'}"
+    mended.take(partial(with_counts, share=share), f"the encoder loses counts, {lost}: put right before the fit")
+    mended.doubts = [*data.doubts, f"the encoder loses counts, as it seems {lost}: see to its wires, and to the reader"]
+    other = _found(mended)
+    _add_estimates(used, mended, other, by_name)
+    _doubt_all(other, mended.doubts)
+    _add_motor_law(mended, other, (), None, was_known=False)
+    return other if other.motor_law is not None and explains_more(other.motor_law, law) else found
 
 
 def other_times_explain(slipped_rad: float, plain_rad: float, with_laws_rad: float) -> bool:

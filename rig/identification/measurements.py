@@ -32,7 +32,7 @@ class Measurements:
     complaints  why a test has no cycle
     unsettled   names of the relay tests without a settled cycle
     guarded     one sentence for each test in which the guard changed the relay's drive
-    supplies    one sentence for each motor supply that differs from the config
+    doubts      one sentence for each motor supply that differs from the config, and for time stamps of other rows
     sources     for each recording its name, and its series
     recording_of  for each of ``tests`` the name of its recording
     further     records beside the tests, for the law of the motor: gain search and breakaway check, as far as they are
@@ -50,7 +50,7 @@ class Measurements:
     complaints: list[IdentifyError] = field(default_factory=list)
     unsettled: list[str] = field(default_factory=list)
     guarded: list[str] = field(default_factory=list)
-    supplies: list[str] = field(default_factory=list)
+    doubts: list[str] = field(default_factory=list)
     sources: list[tuple[str, Sequence[TimeSeries]]] = field(default_factory=list)
     further: list[tuple[TimeSeries, int]] = field(default_factory=list)
     stated: list[StatedErrors] = field(default_factory=list)
@@ -144,7 +144,7 @@ def measurements(
         data.stated.append(stated if recording.reads == "angle" else replace(stated, linearity_percent=0.0))
         gone = left_out(recording, without)
         data.guarded += _guarded(recording)
-        data.supplies += [reason for reason in _supply(recording) if reason not in data.supplies]
+        data.doubts += [reason for reason in _supply(recording) if reason not in data.doubts]
         tests, runs = _series_of(recording, gone, len(recordings) > 1, data.notes)
         if not recording.stages() and not plain_is_hysteretic:
             [whole] = tests

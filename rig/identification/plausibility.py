@@ -57,6 +57,7 @@ MOVED_STEPS = 3.0  # if it is also more than this many steps of the sensor
 FEWEST_STEPS = 40.0  # of the sensor over the whole travel: an amplitude of 20 (docs/theory.md 4.3)
 RAIL_ROWS = 10  # successive rows at exactly one end of the travel, in spite of noise
 STANDS = 1.0 / 3.0  # of the time at an end, for which a shaft that is at no end stands as hard driven
+RESTS = 0.5  # of the largest drive: under less a shaft may rest where a record begins
 TURN_STEPS = 16.0  # of the sensor: a shaft that turns within one step goes no farther in as many rows ahead or behind
 FAR_STEPS = 10.0  # from an end of the travel: no reading there is one of that end
 LARGE_SPAN_RAD = 12.6  # two turns: a potentiometer of one turn cannot show more
@@ -452,7 +453,8 @@ def _rails(test: TimeSeries) -> list[Objection]:
         k = int(np.argmax(under_drive))
         row = int(begins[k])
         stop = row + int(lengths[k])
-        if under_drive[k] >= RAIL_ROWS and not _turns(test, row, stop) and not _sticks(test, row, stop):
+        rests = row == 0 and np.abs(test.u_V[:stop]).max() < RESTS * np.abs(test.u_V).max()
+        if under_drive[k] >= RAIL_ROWS and not (rests or _turns(test, row, stop) or _sticks(test, row, stop)):
             first = test.first_row + row
             found.append(
                 Objection(

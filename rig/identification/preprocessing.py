@@ -158,11 +158,19 @@ def evened(test: TimeSeries) -> tuple[TimeSeries, list[str]]:
     off_s, period_s, even = test.t_s - even_s, float(even_s[1] - even_s[0]), replace(test, t_s=even_s)
     if even.noise_rad() > SMOOTHER * test.noise_rad() and _roughness(even) > SMOOTHER * _roughness(test):
         return test, []
+    if min(with_stamps_of(test, rows).noise_rad() for rows in (-1, 1)) < SMOOTHER * even.noise_rad():
+        return test, []  # rows are uneven, and have the stamps of other rows
     said = (
         f"{test.name}: the time stamps scatter by {1e3 * float(np.std(off_s)):.2g} ms about even times, "
         f"{1e3 * period_s:.4g} ms apart, and the motion does not: it is taken at even times"
     )
     return even, [said]
+
+
+def with_stamps_of(test: TimeSeries, rows: int) -> TimeSeries:
+    """The test with each stamp moved up by a row (-1) or down (1). The row that has none then is left out."""
+    kept, stamps = (slice(0, -1), slice(1, None)) if rows < 0 else (slice(1, None), slice(0, -1))
+    return replace(test, t_s=test.t_s[stamps], y_rad=test.y_rad[kept], u_V=test.u_V[kept], even_s=None)
 
 
 def _roughness(test: TimeSeries) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 
 from rig.identification.estimate import Estimate
 from rig.identification.in_pieces import plain_residual_rad
+from rig.identification.preprocessing import with_stamps_of
 from rig.run_folder.recording.series import TimeSeries, noise_of_all_rad
 
 LEAVES = 3.0  # residual over the sensor's noise from which on other stamps are tried
@@ -36,10 +37,16 @@ def stamps_off_by(tests: Sequence[TimeSeries], plain: Estimate) -> int:
     return best if other[best] < CUTS * own else 0
 
 
-def with_stamps_of(test: TimeSeries, rows: int) -> TimeSeries:
-    """The test with each stamp moved up by a row (-1) or down (1). The row that has none then is left out."""
-    kept, stamps = (slice(0, -1), slice(1, None)) if rows < 0 else (slice(1, None), slice(0, -1))
-    return replace(test, t_s=test.t_s[stamps], y_rad=test.y_rad[kept], u_V=test.u_V[kept], even_s=None)
+def stamps_by_motion(tests: Sequence[TimeSeries]) -> int:
+    """The same as ``stamps_off_by`` by the motion alone, where that is far smoother with the stamps of other rows."""
+    if any(test.t_u_s is not None or test.edges is not None for test in tests):
+        return 0
+    if max(float(np.std(np.diff(test.t_s))) / test.period_s for test in tests) < UNEVEN:
+        return 0
+    own = noise_of_all_rad(tests)
+    other = {rows: noise_of_all_rad([with_stamps_of(test, rows) for test in tests]) for rows in (-1, 1)}
+    best = min(other, key=lambda rows: other[rows])
+    return best if other[best] < CUTS * own else 0
 
 
 def drives_stand_late(tests: Sequence[TimeSeries], plain: Estimate) -> bool:

@@ -128,6 +128,17 @@ def test_a_drive_without_its_sign_is_named(u_V: Callable[[Array, Array], Array],
     assert [objection.verdict for objection in said] == (["refused"] if lacks else [])
 
 
+def test_a_shaft_may_rest_at_an_end_of_its_travel_where_a_record_begins() -> None:
+    """A chirp from rest was refused: "the end of the sensor's range"."""
+    t_s: Array = 0.005 * np.arange(2000.0)
+    rests: Array = np.concatenate((np.zeros(20), 1.0 - np.cos(2.0 * t_s[:-20])))
+    noisy = rests + np.where(rests > 0.0, np.abs(np.random.default_rng(1).normal(0.0, 2e-3, rests.size)), 0.0)
+    rows: Array = np.arange(rests.size, dtype=np.float64)
+    for u_V, is_told in ((0.3, False), (5.0, True)):
+        test = TimeSeries(t_s, noisy, None, np.where(rows < 25, u_V, 5.0 * np.sin(rows)))
+        assert any("end of the sensor's range" in one.reason for one in judge_records([test])) == is_told
+
+
 @pytest.mark.parametrize(("half_s", "spoils"), [(30.0, True), (6000.0, False)])
 def test_a_tau_of_no_small_motor_is_the_columns_fault_only_where_the_record_says_it(
     half_s: float, *, spoils: bool

@@ -675,17 +675,35 @@ def test_positions_that_a_file_rounds_still_show_the_steps_of_their_sensor() -> 
     assert TimeSeries(t_s, rough, None, u_V).resolution_rad() == 0.0
 
 
-@pytest.mark.evidence
-def test_time_stamps_of_the_row_before_are_named() -> None:
+@pytest.mark.parametrize("slots", [True, *evidence(False)])
+def test_time_stamps_of_the_row_before_are_named(*, slots: bool) -> None:
+    """By the motion alone, too: they were taken for stamps that scatter about even times."""
     slow = MOTOR._replace(K_rad_s_V=5.0)
-    t_s, u_V, _ = recorded(slow, (0.0, 3.0, 5.0, 7.0))
+    t_s, u_V, _ = recorded(slow, (0.0, 3.0, 5.0, 7.0), rows=1000)
     random = np.random.default_rng(3)
-    uneven_s = np.cumsum(random.uniform(0.5, 1.5, t_s.size) * PERIOD_S)
+    steps = random.choice([0.4, 1.0, 2.4], t_s.size) if slots else random.uniform(0.5, 1.5, t_s.size)
+    uneven_s = np.cumsum(steps * PERIOD_S)
     y_rad = response(slow, Frame(duration_s=float(uneven_s[-1])), (uneven_s, u_V), uneven_s, Pieces.one())
     late = (np.append(0.0, uneven_s[:-1]), u_V, STEP_RAD * np.round(y_rad / STEP_RAD))
     answers = [answered(late), answered((uneven_s, *late[1:]))]
     assert [any("--time-row -1" in reason for reason in one.reasons) for one in answers] == [True, False]
+    assert [one.verdict for one in answers] == ["doubtful", "ok"]
     assert all(right(one, slow, 0.01, "tau_s", "K_rad_s_V", "fc_V") for one in answers)
+
+
+@pytest.mark.parametrize("lost", [0.03, 0.0])
+def test_counts_that_are_lost_one_way_are_put_right_and_half_bridges_that_are_not_alike_are_none(lost: float) -> None:
+    """K was half of that too small, beside laws of the motor that it has not."""
+    t_s, u_V, y_rad = recorded(MOTOR, (3.0, 5.0, 7.0), rows=1000)
+    if lost:
+        steps = np.diff(y_rad, prepend=0.0)
+        y_rad = STEP_RAD * np.floor(np.cumsum(np.where(steps > 0.0, (1.0 - lost) * steps, steps)) / STEP_RAD)
+    else:
+        u_V = u_V / np.where(u_V > 0.0, 1.03, 0.97)  # the motor got another
+    answer = answered((t_s, u_V, y_rad))
+    assert any("loses counts" in reason for reason in answer.reasons) == bool(lost), answer.reasons
+    assert [law.name for law in answer.law or ()] == ([] if lost else ["gain_by_sign"])
+    assert right(answer, MOTOR, 0.01, "tau_s", "K_rad_s_V", "fc_V")
 
 
 @pytest.mark.evidence

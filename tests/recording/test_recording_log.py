@@ -94,6 +94,7 @@ def test_a_column_that_says_which_way_gives_the_drive_its_sign(tmp_path: Path) -
         ("REV", "FWD"),
         ("backward", "forward"),
         ("CCW", "CW"),
+        ("LOW", "HIGH"),
         ("-", "+"),
         ("0.0", "1"),
     ):

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from evidence import evidence
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -58,7 +57,7 @@ def same(found: Recording, bench: Bench) -> None:
     assert found.y_rad == pytest.approx(bench.counts * TURN / 1440)
 
 
-@pytest.mark.parametrize("after", [1000.0, 65536.0, 60000.0])
+@pytest.mark.parametrize("after", [1000.0, 65536.0, 60000.0, 1707.0])
 def test_a_clock_that_begins_anew_goes_on(tmp_path: Path, bench: Bench, after: float) -> None:
     late = after - 2000.0 if after > 2000.0 else 0.0
     path = log_of(tmp_path, {"ms": (bench.ms + late) % after, "pwm": bench.pwm, "counts": bench.counts})
@@ -210,7 +209,7 @@ def test_a_velocity_that_was_kept_as_an_unsigned_number_gets_its_sign(tmp_path: 
     assert any("negative velocities stand as unsigned" in note for note in found.notes)
 
 
-@pytest.mark.parametrize("lowest", [-32768.0, *evidence(0.0)])
+@pytest.mark.parametrize("lowest", [-32768.0, 0.0])
 def test_a_velocity_of_16_bits_that_wraps_within_a_reversal_is_told_by_the_drive(
     tmp_path: Path, bench: Bench, lowest: float
 ) -> None:
@@ -223,6 +222,43 @@ def test_a_velocity_of_16_bits_that_wraps_within_a_reversal_is_told_by_the_drive
     v = counts_per_s * TURN / 8192
     assert np.diff(found.y_rad) == pytest.approx(PERIOD_S * 0.5 * (v[1:] + v[:-1]))
     assert any("of 16 bits, wrapped" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(("bits", "lsb"), [(8, 1.0), (12, 0.1), (16, 0.01)])
+def test_a_velocity_of_other_bits_or_units_that_wraps_goes_on(
+    tmp_path: Path, bench: Bench, bits: int, lsb: float
+) -> None:
+    """They were refused: "the motor turns against its drive"."""
+    size = lsb * 2.0**bits
+    v = np.round(0.8 * 0.5 * size / lsb * bench.v_rad_per_s / np.abs(bench.v_rad_per_s).max()) * lsb
+    columns = {"ms": bench.ms, "volts": bench.pwm * 12.0 / 255.0}
+    log = replace(SPEED, velocity=LogColumn("rad/s"), counts_per_turn=None)
+    for scale in (1.0, 1.5):
+        whole = np.round(scale * v / lsb)
+        wrapped = lsb * ((whole + 2.0 ** (bits - 1)) % 2.0**bits - 2.0 ** (bits - 1))
+        found = read(log_of(tmp_path, columns | {"vel": wrapped}), log)
+        assert np.ptp(found.y_rad) == pytest.approx(np.ptp(np.cumsum(PERIOD_S * lsb * whole)), rel=0.02)
+        assert any(f"of {bits} bits, wrapped" in note for note in found.notes) == (scale > 1.0)
+
+
+@pytest.mark.parametrize(("step_rad", "tick_s"), [(0.01, 64e-6), (0.3, 1e-6)])
+def test_a_velocity_that_is_one_count_over_its_time_is_refused(
+    tmp_path: Path, bench: Bench, step_rad: float, tick_s: float
+) -> None:
+    """K of such a log was 10 % off beside 9 %, tau 49 % beside 16 %."""
+    fine_s = np.linspace(0.0, 1e-3 * bench.ms[-1], 400 * bench.ms.size)
+    y = np.interp(fine_s, 1e-3 * bench.ms, np.cumsum(PERIOD_S * bench.v_rad_per_s))
+    at = np.flatnonzero(np.diff(np.floor(y / step_rad)))
+    ticks = np.maximum(np.round(np.diff(fine_s[at]) / tick_s), 1.0)
+    v = np.sign(np.diff(y)[at[1:]]) * step_rad / (ticks * tick_s)
+    last = np.searchsorted(fine_s[at[1:]], 1e-3 * bench.ms, side="right") - 1
+    told: Floats = np.asarray(np.round(np.where(last < 0, 0.0, v[last]), 4), dtype=np.float64)
+    columns = {"ms": bench.ms, "volts": bench.pwm * 12.0 / 255.0}
+    log = replace(SPEED, velocity=LogColumn("rad/s"), counts_per_turn=None)
+    with pytest.raises(RecordingError, match="one count over the time that it took"):
+        read(log_of(tmp_path, columns | {"vel": told}), log)
+    for digits in (0, 2):
+        assert read(log_of(tmp_path, columns | {"vel": np.round(bench.v_rad_per_s, digits)}), log)
 
 
 def test_a_velocity_that_wraps_without_a_motor_in_it_is_refused(tmp_path: Path, bench: Bench) -> None:

@@ -272,13 +272,6 @@ def _summed(
 ) -> log_mends.Summed:
     """The position from velocities. Raises RecordingError."""
     v, u_V = log_mends.signed(raw["v_rad_per_s"], None, "velocities", notes), raw["u_V"]
-    if log_mends.has_no_sign(v, u_V):
-        raise RecordingError(
-            path,
-            "the velocity is never negative, and as large after negative drives as after positive ones: its sign is "
-            "missing",
-            "log the velocity with its sign, or better the position",
-        )
     unwrapped = log_mends.unwrapped_velocity(v, u_V, notes)
     if unwrapped is None:
         raise RecordingError(
@@ -286,11 +279,25 @@ def _summed(
             "the velocity jumps by most of what a number of 16 bits can be: it wraps, and nobody can tell how often",
             "log it as a number of 32 bits, or log the position",
         )
+    if log_mends.has_no_sign(unwrapped, u_V):
+        raise RecordingError(
+            path,
+            "the velocity is never negative, and as large after negative drives as after positive ones: its sign is "
+            "missing",
+            "log the velocity with its sign, or better the position",
+        )
     if (end := log_mends.cut_off_at(unwrapped)) is not None:
         raise RecordingError(
             path,
             f"the velocity jumps to {end:.5g} again and again, and stays there to the last digit: it is cut off",
             "record with smaller drives, let the sensor or its number reach farther, or log the position",
+        )
+    if log_mends.is_of_one_count(unwrapped, t_s):
+        raise RecordingError(
+            path,
+            "each velocity is one count over the time that it took, and stands until the next one, or is a few ticks: "
+            "between counts nobody can tell how the shaft turned",
+            "log the counts themselves, or the time between counts with a finer clock and a finer encoder",
         )
     scale = log.scale("velocity", column.unit)
     return log_mends.summed_up(scale * unwrapped, t_s, notes, 0.5 * abs(scale) * log_mends.last_digit(unwrapped))
@@ -416,7 +423,7 @@ def _ways(
     The larger number is the positive way, or the word that is not reverse, backward, ccw or a minus. A word that most
     rows lack was written where it changed. A log of one way may have one word. Raises RecordingError.
     """
-    back = ("R", "B", "-", "CC")  # reverse, backward
+    back = ("R", "B", "-", "CC", "LO", "FALSE", "OFF", "NEG")  # reverse, backward, counter-clockwise, low
     words = np.array([f"{float(word) + 0.0:g}" if is_number(word) else word for word in words.tolist()])
     lacks, drives = np.isin(words, ("", "nan")), (u_V != 0.0) | (not np.any(u_V))
     if float(np.mean(lacks)) > EVENTS:

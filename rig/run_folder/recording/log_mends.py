@@ -26,12 +26,14 @@ _LEAST_SHARE, _FEW, _LIKELY = 1e-3, 40, 0.8
 _FEWEST_KINDS = 30  # of changes from row to row: fewer are those of a ramp, which is near any grid
 _OF_BITS: Final = {8: 2.0**8, 16: 2.0**16, 32: 2.0**32}  # numbers that a whole number of so many bits can be
 _COUNTERS: Final = (8, 10, 12, 14, 16, 32)  # bits of a position
+_CLOCKS: Final = (8, 16, 24, 32)  # of a time
 # Of its range: what a position that wraps covers at least, and the most that it then moves in nearly each row. A number
 # of 16 bits or more wraps wherever it jumps by more than half of its range.
 _COVERS, _MOVES, _NEARLY, _WIDE = 0.8, 0.35, 0.99, 16
 # Seconds after which clocks begin anew: those of 16 and 32 bits, and those that show a part of a longer time.
 _SHOWN_S: Final = (1.0, 10.0, 60.0, 100.0, 1000.0, 3600.0, 43200.0, 86400.0)
 _WRAP_PERIODS = 3.0  # longest step over the end of a clock
+_TURNS_ON = 0.2  # of the largest step of a position: by so much a shaft turns over the end of a clock
 _FEWEST_ROWS = 22  # of a run in a file of several: fewer are rows out of order
 _COUNTS, _JUMPS = 0.9, 1.3  # share of rows in which a counter of rows rises; of the largest other bend, a jump back
 _FAR_ROWS = 5  # that rows out of order may be from their place
@@ -41,7 +43,16 @@ _FEWEST_HELD, _HELD = 20, 0.97  # changes of a velocity, and the share at whole 
 # Of a velocity that is cut off: rows in a row, and in all, at the end of its range; the least jump to it, in steps of
 # its numbers; share of such stays elsewhere, at most
 _STAYS, _CUT_ROWS, _JUMPS_TO, _ELSEWHERE = 3, 10, 20.5, 0.1
+# Of a velocity that is one count over the time that it took: of its largest sizes so many, at least so many, which are
+# one over at most this many ticks and more, so exactly. How many stands, how unlike, which are slow, of the largest
+# speed; by how many digits they differ, how they go with the speed, and how many last as long as the next count took
+_SIZES, _FEWEST_SIZES, _MOST_TICKS, _NEAR_TICK = 12, 4, 25, 0.1
+_FEWEST_STANDS, _UNLIKE, _SLOW, _FAR_DIGITS, _INVERSE, _AS_LONG = 10, 0.15, 0.3, 3.5, -0.5, 0.9
 _ARX_ROUNDS, _SURE = 20, 0.4  # rounds of a wrapped velocity; of its range, the largest error of what is expected
+# Bits of a velocity that wraps; of its range, what it covers then; what a motor leaves of it as it goes on, of what one
+# leaves of it as it stands, at most
+_VELOCITIES: Final = (16, 8, 10, 12, 14, 24)
+_FILLS, _FAR_LESS = 0.95, 0.3
 
 
 def unwrapped_clock(t: Floats, y: Floats, second: float, notes: list[str]) -> Floats:
@@ -55,7 +66,7 @@ def unwrapped_clock(t: Floats, y: Floats, second: float, notes: list[str]) -> Fl
         return t
     forth = np.diff(t)[np.diff(t) > 0.0]
     period = float(np.median(forth)) if forth.size else 0.0
-    bits = [size for size in _OF_BITS.values() if second > 1.0]
+    bits = [2.0**size for size in _CLOCKS if second > 1.0]
     for length in sorted({*bits, *(second * s for s in _SHOWN_S)}):
         over = np.diff(t)[back] + length
         close = bool(np.all((over > 0.0) & (over <= _WRAP_PERIODS * period)))
@@ -64,7 +75,26 @@ def unwrapped_clock(t: Floats, y: Floats, second: float, notes: list[str]) -> Fl
             turns[back + 1] = length
             notes.append(f"the clock begins anew after {length / second:.6g} s: the times go on")
             return np.asarray(t + np.cumsum(turns))
-    return t
+    # of any other length: of one clock all rows end and begin alike, and a shaft that turns does not jump
+    far = _WRAP_PERIODS * period
+    alike = bool(np.all(t[back] >= t.max() - far) and np.all(t[back + 1] <= t.min() + far))
+    if not alike or not period > 0.0 or not _is_sure(y, back) or not _turns_on(y, back):
+        return t
+    turns = np.zeros(t.size)
+    turns[back + 1] = t[back] - t[back + 1] + period
+    notes.append(f"the clock begins anew after {np.median(turns[back + 1]) / second:.4g} s: the times go on")
+    return np.asarray(t + np.cumsum(turns))
+
+
+def _turns_on(y: Floats, at: Integers) -> bool:
+    """Whether a position goes on by as much behind these rows as before and after them, and at one of them by much."""
+    steps = np.diff(y)
+    inside = at[(at > 0) & (at < steps.size - 1)]
+    bends = np.abs(steps[inside] - 0.5 * (steps[inside - 1] + steps[inside + 1]))
+    usual = float(np.quantile(np.abs(np.diff(steps)), _NEARLY))
+    most = float(np.abs(steps).max(initial=0.0))
+    moves = np.minimum(np.minimum(np.abs(steps[inside - 1]), np.abs(steps[inside])), np.abs(steps[inside + 1]))
+    return bool(inside.size) and bool(np.all(bends <= usual) and np.any(moves > _TURNS_ON * most))
 
 
 def _is_sure(y: Floats, at: Integers) -> bool:
@@ -209,17 +239,37 @@ def _goes_on(y: Floats, on: Floats, size: float) -> bool:
 
 
 def unwrapped_velocity(v: Floats, u: Floats, notes: list[str]) -> Floats | None:
-    """Velocities of a number of 16 bits that wraps, as they were; None where they cannot be told.
+    """Velocities of a number of few bits that wraps, as they were; None where they cannot be told.
 
     Between two rows a quick motor's velocity may change by more than half of what such a number can be. So each row is
     the one nearest to what a motor of first order does under the drive ``u``; that motor is fitted to all rows, and
     fitted again until no row changes. At u = 0, turned either way, a motor has no speed of its own: that tells the
-    first row.
+    first row. A number of other than 16 bits, or in other units than one, has to fill its range, and to leave a motor
+    far more than what goes on does.
     """
-    size = _OF_BITS[16]
-    if not np.all(v == np.round(v)) or np.ptp(v) >= size or np.abs(np.diff(v)).max(initial=0.0) <= 0.5 * size:
+    digit = last_digit(v)
+    if not digit:
         return v
-    x: Floats = np.unwrap(v, period=size)
+    extent, largest = np.ptp(v), float(np.abs(np.diff(v)).max(initial=0.0))
+    for bits in _VELOCITIES:
+        size = digit * 2.0**bits
+        is_usual = bits == _WIDE and digit == 1.0
+        if extent >= size or largest <= 0.5 * size or not (is_usual or extent > _FILLS * size):
+            continue
+        x, error = _as_it_goes_on(v, u, size)
+        if not is_usual and float(np.std(error)) > _FAR_LESS * float(np.std(_as_it_goes_on(v, u, math.inf)[1])):
+            continue
+        if float(np.abs(error).max()) > _SURE * size:
+            return None if is_usual else v
+        said = f"the velocities, of {bits} bits, wrapped: each row is the one nearest to what a motor does, and goes on"
+        notes.append(said)
+        return x
+    return v
+
+
+def _as_it_goes_on(v: Floats, u: Floats, size: float) -> tuple[Floats, Floats]:
+    """Velocities that wrap at ``size`` as they go on, and what a motor of first order leaves of them; inf: none do."""
+    x: Floats = np.unwrap(v, period=size) if math.isfinite(size) else v
     rows = np.stack([np.zeros(v.size - 2), np.diff(u)[1:], np.diff(u)[:-1], np.zeros(v.size - 2)], axis=1)
     law = np.zeros(4)
     for _ in range(_ARX_ROUNDS):
@@ -229,17 +279,15 @@ def unwrapped_velocity(v: Floats, u: Floats, notes: list[str]) -> Floats | None:
         for _ in range(3):
             law = np.asarray(np.linalg.lstsq(rows[sound], wanted[sound], rcond=None)[0], dtype=np.float64)
             sound = np.abs(wanted - rows @ law) < 0.25 * size
-        before, x = x, _nearest(v, x[:2], rows, law, size)
+        before, x = x, _nearest(v, x[:2], rows, law, size) if math.isfinite(size) else x
         if np.array_equal(before, x):
             break
-    error = np.abs(np.diff(x)[1:] - rows @ law)
-    if float(error.max()) > _SURE * size:
-        return None
-    level = np.stack([x[:-1], u[:-1], u[1:], np.ones(x.size - 1)], axis=1)
-    a, *_, c = np.linalg.lstsq(level, x[1:], rcond=None)[0]
-    x = x - size * np.round(c / max(1.0 - a, 1e-6) / size)
-    notes.append("the velocities, of 16 bits, wrapped: each row is the one nearest to what a motor does, and goes on")
-    return np.asarray(x)
+    error = np.diff(x)[1:] - rows @ law
+    if math.isfinite(size):
+        level = np.stack([x[:-1], u[:-1], u[1:], np.ones(x.size - 1)], axis=1)
+        a, *_, c = np.linalg.lstsq(level, x[1:], rcond=None)[0]
+        x = x - size * np.round(c / max(1.0 - a, 1e-6) / size)
+    return np.asarray(x), np.asarray(error)
 
 
 def _nearest(v: Floats, first: Floats, rows: Floats, law: Floats, size: float) -> Floats:
@@ -395,3 +443,37 @@ def cut_off_at(v: Floats) -> float | None:
     at_end = stays & ((v[begins] == v.max()) | (v[begins] == v.min()))
     rows, elsewhere = int(lasts[at_end].sum()), int(lasts[stays & ~at_end].sum())
     return most if at_end.sum() > 1 and rows >= _CUT_ROWS and elsewhere < _ELSEWHERE * rows else None
+
+
+def is_of_one_count(v: Floats, t: Floats) -> bool:
+    """Whether a velocity is one count over the time that it took, which shows in either of two ways.
+
+    That time is a few ticks of a clock: one over each of the largest sizes is a whole number of them. Or a velocity
+    stands until the next count, as long as this one takes.
+    """
+    sizes = np.unique(np.abs(v[v != 0.0]))[: -_SIZES - 1 : -1]
+    if sizes.size >= _FEWEST_SIZES:
+        most = _MOST_TICKS if sizes.size == _SIZES else 2  # fewer sizes are such by chance
+        ticks = np.arange(1, most + 1)[:, None] * sizes[0] / sizes
+        near = _NEAR_TICK + ticks * 0.5 * last_digit(v) / sizes
+        whole = (np.abs(ticks - np.round(ticks)) < near) & (near < 2.0 * _NEAR_TICK)
+        each = np.diff(np.round(ticks), axis=1)
+        if np.any(whole.all(axis=1) & (each > 0.0).all(axis=1) & (np.median(each, axis=1) <= 2.0)):
+            return True
+    if held_rows(v) is not None:
+        return False
+    begins = np.flatnonzero(np.diff(v)) + 1
+    before, after = v[begins[:-1]], v[begins[1:]]
+    lasts_s, period_s = np.diff(t[begins]), float(np.median(np.diff(t)))
+    # what is rounded stands, too; but then it goes on by a digit
+    told = (lasts_s > 1.5 * period_s) & (before * after > 0.0) & (np.abs(after - before) > _FAR_DIGITS * last_digit(v))
+    for below in (math.inf, _SLOW * float(np.abs(v).max())):  # at a steady speed some counts take alike times
+        at = told & (np.abs(after) < below)
+        if np.count_nonzero(at) < _FEWEST_STANDS:
+            continue
+        each_s, size = lasts_s[at], np.abs(after[at])
+        as_long = np.abs(each_s - float(np.median(each_s * size)) / size) < 1.5 * period_s
+        varies = float(np.std(np.log(each_s))) > _UNLIKE and float(np.std(size)) > 0.0
+        if varies and np.corrcoef(np.log(each_s), np.log(size))[0, 1] < _INVERSE and np.mean(as_long) > _AS_LONG:
+            return True
+    return False
