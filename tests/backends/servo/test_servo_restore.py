@@ -260,6 +260,9 @@ def test_what_the_keeper_writes_stops_a_servo_and_puts_it_back_wherever_the_run_
             assert keeper.restore(), phase
             assert bench.servo.of("drive") in (0, duty), phase  # not rig's
         assert owned(bench) == before and not bench.servo.is_on and bench.wrong() == [], phase
+        seen = addressed(bench.bus.bus)
+        assert max(seen[id] for id in BYSTANDERS) <= 1, phase
+        assert not any(one.is_on or one.eeprom_writes for one in bench.bystanders), phase
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
@@ -473,7 +476,8 @@ def test_until_all_is_back_no_goal_is_left_beside_its_limit_and_no_torque(
         is_back = servo.value(limit) == before[limit] and kind != "its limit is the run's"
         rest = {name for name, value in owned(bench).items() if value != before[name]} - {drive, "torque_enable"}
         # on some servos the write of duty 0 switches the torque on, for one packet
-        may_drive = servo.is_on and (servo.value(drive) != 0 or servo.of("mode") != bench.setup.model.pwm_mode)
+        is_pwm = servo.of("mode") == bench.setup.model.pwm_mode and not (is_back and who == "its keeper")
+        may_drive = servo.is_on and (servo.value(drive) != 0 or not is_pwm)
         if was_off and (may_drive or (is_back and (rest or servo.value(drive) != 0))):
             wrong.append(f"{servo.value(drive)}, {servo.value(limit)}, {servo.is_on}, {data.hex(' ')}")
         send(data, t_s)
