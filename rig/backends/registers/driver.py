@@ -569,8 +569,12 @@ class RegisterDriver(ABC, Generic[Req]):
             raise ends
 
     def _end_exchange(self) -> None:
-        """The device has not said that its watchdog has acted: it waits anew. Raises Fault LINK_TIMEOUT."""
-        self._heard_s = self._replied_s
+        """The device has not said that its watchdog has acted: it waits anew. Raises Fault LINK_TIMEOUT.
+
+        One whose status tells has heard this before that could act, though its answer was taken much later.
+        """
+        latest_s = math.inf if self._map.status is None else self._heard_s + self._acts_s
+        self._heard_s = min(self._replied_s, latest_s)
         self._check_late("LINK_TIMEOUT")
 
     def _explain(self, fault: Fault) -> None:

@@ -14,10 +14,10 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from rig.backends.links.usb_port import usb_port
-from rig.backends.servo.bus import Ask, ServoLink
+from rig.backends.servo.bus import ServoLink
 from rig.backends.servo.models import ServoModel
 from rig.core import strict_json
 from rig.core.faults import Fault
@@ -40,10 +40,10 @@ _RESET_BY_MODE: Final = (
 )
 # What `rig servo facts` changes of a Feetech; its lock keeps all of it out of the EEPROM
 _TRIED_ON_FEETECH: Final = ("position_p_gain", "protective_torque", "protection_time", "overload_torque")
-# In the order in which they are put back: the mode after the limit, because changing it sets the goal to the limit
+# In the order in which they are put back, as ``back_of`` says
 _CHANGED: Final = {
-    "dynamixel": ("pwm_slope", "pwm_limit", "return_delay_time", "operating_mode", "goal_pwm", *_RESET_BY_MODE),
-    "feetech": ("return_delay_time", "torque_limit", *_TRIED_ON_FEETECH, "mode", "goal_duty", "lock"),
+    "dynamixel": ("pwm_slope", "return_delay_time", "operating_mode", *_RESET_BY_MODE, "pwm_limit", "goal_pwm"),
+    "feetech": ("return_delay_time", *_TRIED_ON_FEETECH, "mode", "goal_duty", "lock", "torque_limit"),
 }
 
 
@@ -135,7 +135,7 @@ class BeforeStore:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with fresh.open("w", encoding="utf-8") as file:
-                file.write(_text_of(model, id, values, sets))
+                file.write(text_of(model, id, values, sets))
                 file.flush()
                 os.fsync(file.fileno())
             fresh.replace(self.path)
@@ -162,7 +162,8 @@ class BeforeStore:
                 self.path.unlink(missing_ok=True)
 
 
-def _text_of(model: ServoModel, id: int, values: Mapping[str, int], sets: Sets) -> str:
+def text_of(model: ServoModel, id: int, values: Mapping[str, int], sets: Sets) -> str:
+    """What the file says."""
     return json.dumps({"model": model.name, "id": id, "registers": dict(values), "set": dict(sets)})
 
 
@@ -195,7 +196,45 @@ def values_of(link: ServoLink) -> dict[str, int]:
         kept[drive] = 0  # there it is the duty: whoever switches the torque on next must not find rig's
     elif "lock" in model.roles:
         del kept[drive]  # in another mode its write may switch the torque on
+    else:
+        kept[drive] = min(kept[drive], kept[model.roles["max_drive"]])  # of before the limit was lowered: refused now
     return kept
+
+
+class Back(NamedTuple):
+    """What puts a servo back: registers and their values, in three parts, one after the other.
+
+    early   what changing the mode leaves
+    middle  the mode, and what that sets anew; behind it no goal is left
+    last    the limit, by which a servo shows until then that not all is back; behind it the goal
+    told    what the file must say from the middle on: rig itself has changed the mode back. None: it says enough
+    """
+
+    early: list[tuple[str, int]]
+    middle: list[tuple[str, int]]
+    last: list[tuple[str, int]]
+    told: Sets | None
+
+
+def back_of(model: ServoModel, values: Mapping[str, int], sets: Sets, *, is_blind: bool = False) -> Back:
+    """What puts values back that a run has changed, of which ``sets`` says to what.
+
+    is_blind  the mode is written whatever it is, and so resets all, though the run may have changed nothing yet
+    """
+    mode, limit, drive = (model.roles[role] for role in ("mode", "max_drive", "drive"))
+    names = [name for name in _CHANGED[model.protocol] if name in values]
+    at = names.index(mode) if mode in names else 0
+    end = names.index(limit) if limit in names else len(names)
+    early, middle, last = ([(name, values[name]) for name in part] for part in (names[:at], names[at:end], names[end:]))
+    if mode not in names or "lock" in model.roles:
+        return Back(early, middle, last, None)
+    middle.insert(1, (drive, 0))  # changing the mode has set it to the limit
+    told = {**sets, mode: (*sets.get(mode, ()), values[mode])}
+    if limit in values and (is_blind or values[limit] in sets.get(limit, ())):  # where it tells nothing, it does now
+        shows = next((one for one in sets.get(limit, ()) if one != values[limit]), values[limit] - 1)
+        middle.insert(0, (limit, shows))
+        told[limit] = (*sets.get(limit, ()), shows)
+    return Back(early, middle, last, told)
 
 
 def put_back(link: ServoLink, store: BeforeStore, *, is_left: bool = False) -> dict[str, int]:
@@ -214,19 +253,27 @@ def put_back(link: ServoLink, store: BeforeStore, *, is_left: bool = False) -> d
     if "watchdog" in roles:
         link.put(roles["watchdog"], 0)  # while it has acted no goal can be written
         link.hold(roles["watchdog"], 0)  # a late answer to another write may have confirmed that
-    names = [name for name in _CHANGED[model.protocol] if name in values]
-    mode = names.index(roles["mode"]) if roles["mode"] in names else 0
-    for part in (names[:mode], names[mode:]):
-        if mode and part[-1] in _RESET_BY_MODE:  # once the mode is back nothing tells that rig has changed these
-            store.save(model, link.bus.id, values, {names[mode]: sets.get(names[mode], ())})
-        for name in part + part:  # a wrong answer may have said that one holds its value already
-            link.hold(name, values[name])
+    link.in_one_go(_end_duty)
     link.put(roles["torque"], 0)  # on some servos writing a goal switches it on
+    back = back_of(model, values, sets)
+    for part in (back.early, back.middle, back.last):
+        if part is back.middle and back.told is not None:
+            store.save(model, link.bus.id, values, back.told)
+        for name, value in part + part:  # a wrong answer may have said that one holds its value already
+            link.hold(name, value)
+    link.put(roles["torque"], 0)
     if is_left and values.keys() == {roles["drive"]}:
         store.set_aside()
     else:
         store.clear()
     return values
+
+
+def _end_duty(link: ServoLink) -> None:
+    """Rig's duty: the next program that wants this mode would drive with it. In another one its write may drive."""
+    model = link.model
+    if link.sure(model.roles["mode"]) == model.pwm_mode:
+        link.put(model.roles["drive"], 0)
 
 
 def _as_left(link: ServoLink, values: Mapping[str, int], sets: Sets, store: BeforeStore) -> dict[str, int]:
@@ -247,38 +294,16 @@ def _as_left(link: ServoLink, values: Mapping[str, int], sets: Sets, store: Befo
                 f"Nothing was written. {store.path} is of that run: delete it, if this servo is as you want it; with "
                 f"{held[name]} for {values[name]} there the rest is put back",
             )
-    is_end = sets.keys() == {model.roles["mode"]}  # all but that is back
-    is_stopped = held.get(drive) == 0 != values.get(drive, 0)  # by a keeper, before anything else was changed
-    if not (is_end or is_stopped or any(held[name] != values[name] and held[name] in ours[name] for name in sets)):
+    if not any(held[name] != values[name] and held[name] in ours[name] for name in sets):
+        if held.get(drive) == 0 != values.get(drive, 0):  # a keeper has stopped it, and nothing else was changed
+            return {drive: values[drive]}
         return {drive: 0} if values.get(drive) == 0 else {}  # of a servo of PWM mode rig's duty shows nowhere else
     mode = model.roles["mode"]
-    # who has changed the mode back has set these anew, and what they hold is that one's
-    is_back = mode in sets and not is_end and held[mode] == values[mode] not in sets[mode]
+    # who has changed the mode back, and was not rig, has set these anew: what they hold is that one's
+    is_back = mode in sets and held[mode] == values[mode] not in sets[mode]
     theirs = _RESET_BY_MODE if is_back else ()
     return {
         name: value
         for name, value in values.items()
         if name not in theirs and (name not in sets or held[name] in ours[name])
     }
-
-
-def order_of(link: ServoLink, values: Mapping[str, int]) -> list[Ask]:
-    """The same as instructions, without a look in between: made before anything is changed, so it holds all of it."""
-    model, roles = link.model, link.model.roles
-    asks = [link.write_of(roles["torque"], 0)]
-    if "watchdog" in roles:
-        asks.append(link.write_of(roles["watchdog"], 0))
-    asks += [link.write_of(name, values[name]) for name in _CHANGED[model.protocol] if name in values]
-    return [*asks, link.write_of(roles["torque"], 0)]
-
-
-def mark_of(link: ServoLink, values: Mapping[str, int], sets: Sets) -> tuple[list[str], str]:
-    """Behind which of these registers the file must say that all but the mode is back, and what it holds then.
-
-    Once the mode is back nothing tells that rig has changed what that sets anew, as ``put_back`` knows. None: never.
-    """
-    model, mode = link.model, link.model.roles["mode"]
-    names = [name for name in _CHANGED[model.protocol] if name in values]
-    if mode not in names or names[-1] not in _RESET_BY_MODE:
-        return [], ""
-    return names[: names.index(mode)], _text_of(model, link.bus.id, values, {mode: sets.get(mode, ())})

@@ -51,7 +51,7 @@ _BURST_S: Final = 0.2  # longest wait while the servo's keeper stops it
 _TURN_S: Final = 3.0  # longest wait for the servo's keeper: it stops, and puts back
 _CUTS_S: Final = 0.02  # until torque off shows in the duty that acts
 _IN_A_ROW: Final = 2  # readings that must say the same before it is a fault: one can be damaged
-_SAG_SHARE: Final = 0.25  # of the supply that may be lost under load
+_SAG_SHARE: Final = 0.25  # of the supply that may be lost under load, or come back while it brakes
 _STEPS_OFF: Final = 2.0  # of the drive, by which the duty that acts may differ from what was written
 _STAMPED_S: Final = 0.004  # before now a duty was told, at most: the servo's step, and the way of its answer
 _LATE_S: Final = 0.002  # from here on an answer is later than the quickest one, and than its adapter makes it
@@ -134,7 +134,7 @@ class ServoDriver(RegisterDriver[Ask]):
         self.end_words = ""
         self._guardian: Guardian | None = None
         self._voltage_scale = setup.model.role("voltage").scale
-        self._weak_V = (1.0 - _SAG_SHARE) * setup.supply_V
+        self._weak_V, self._strong_V = ((1.0 + share) * setup.supply_V for share in (-_SAG_SHARE, _SAG_SHARE))
         self._is_changed = False  # its registers are not as before
         self._slope_units_s = math.inf  # by which the duty is ramped
         self._ways: deque[_Way] = deque(maxlen=_WAYS)  # the latest drives since it was armed
@@ -277,7 +277,8 @@ class ServoDriver(RegisterDriver[Ask]):
                 self._strange = 0
             else:
                 self._check_duty(applied)
-            if values["temperature"] < setup.hot_degC and values["voltage"] * self._voltage_scale >= self._weak_V:
+            supply_V = values["voltage"] * self._voltage_scale
+            if values["temperature"] < setup.hot_degC and self._weak_V <= supply_V <= self._strong_V:
                 self._bad = 0
             else:
                 self._check_health(values)
@@ -688,8 +689,8 @@ class ServoDriver(RegisterDriver[Ask]):
     def _check_health(self, values: Mapping[str, float]) -> None:
         setup = self._setup
         supply_V = values["voltage"] * self._voltage_scale
-        hot, weak = values["temperature"] >= setup.hot_degC, supply_V < self._weak_V
-        self._bad = self._bad + 1 if hot or weak else 0
+        hot, is_fed = values["temperature"] >= setup.hot_degC, self._weak_V <= supply_V <= self._strong_V
+        self._bad = self._bad + 1 if hot or not is_fed else 0
         if self._bad < _IN_A_ROW:
             return
         if hot:

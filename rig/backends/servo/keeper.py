@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from rig.backends.servo.before import BeforeStore, mark_of, order_of
+from rig.backends.servo.before import BeforeStore, Sets, back_of, text_of
 from rig.backends.servo.bus import Ask, ServoLink
 from rig.core.copies import keep_from_copies, no_longer_own
 from rig.core.faults import Fault
@@ -104,12 +104,11 @@ class ServoKeeper:
         And what it writes to the file of before meanwhile, ahead of which order.
         """
         values, sets = store.read(link.model)
-        early, text = mark_of(link, values or {}, sets)
-        restoring, ahead_of = _restoring(link, values or {}, early)
+        restoring, mark = _restoring(link, values or {}, sets)
         return {
             "stop": _orders(link, stop_orders(link)),
             "restore": restoring,
-            "mark": (ahead_of, text),
+            "mark": mark,
             "zero": _zero(link),
         }
 
@@ -202,7 +201,7 @@ def stop_orders(link: ServoLink) -> list[Ask]:
 def _zero(link: ServoLink) -> list[tuple[str, str]]:
     """Of one with a lock, once its torque is off: a look whether it is in PWM mode still, and behind that duty 0.
 
-    Else rig's duty would stay, for whoever puts it into that mode next.
+    Else rig's duty would stay, for whoever puts it into that mode next. It may switch the torque on: off follows.
     """
     roles, codec = link.model.roles, link.bus.codec
     if "lock" not in roles:
@@ -213,21 +212,34 @@ def _zero(link: ServoLink) -> list[tuple[str, str]]:
     return [(look.hex(), is_there.hex()), *_orders(link, [link.write_of(roles["drive"], 0)])]
 
 
-def _restoring(link: ServoLink, values: Mapping[str, int], early: list[str]) -> tuple[list[tuple[str, str]], int]:
-    """What puts registers back, then a look at each: a late answer may have confirmed a write that was lost.
+def _restoring(link: ServoLink, values: Mapping[str, int], sets: Sets) -> tuple[list[tuple[str, str]], tuple[int, str]]:
+    """What puts registers back, as ``put_back`` does, and what the file must say, ahead of which of it; -1: nothing.
 
-    Those that are early are looked at ahead of the rest, too; how many orders are ahead of that, -1: none are early.
+    All but the limit, and the goal behind it, is looked at ahead of these: a late answer may have confirmed a write
+    that was lost.
     """
-    *writes, off = _orders(link, order_of(link, values))
-    watchdog = link.model.roles.get("watchdog")
-    looks = {}
-    for name, value in {**values, **({} if watchdog is None else {watchdog: 0})}.items():
+    roles, back = link.model.roles, back_of(link.model, values, sets, is_blind=True)
+    off, watchdog = (roles["torque"], 0), [(roles[role], 0) for role in ("watchdog",) if role in roles]
+    begins = [off, *([off] if "lock" in roles else watchdog), *back.early]  # ``_zero`` comes in between
+    steps = [*_writes(link, [*begins, *back.middle, off]), *_looks(link, [*watchdog, *back.early, *back.middle])]
+    steps += [*_writes(link, back.last), *_looks(link, back.last), *_writes(link, [off])]
+    if back.told is None:
+        return steps, (-1, "")
+    return steps, (len(begins), text_of(link.model, link.bus.id, values, back.told))
+
+
+def _writes(link: ServoLink, steps: list[tuple[str, int]]) -> list[tuple[str, str]]:
+    return _orders(link, [link.write_of(name, value) for name, value in steps])
+
+
+def _looks(link: ServoLink, steps: list[tuple[str, int]]) -> list[tuple[str, str]]:
+    """Whether each register holds what was written there last."""
+    looks = []
+    for name, value in dict(steps).items():
         register = link.model[name]
         answer = link.bus.codec.status(link.bus.id, register.pack(value))
-        looks[name] = (link.bus.reading(register.address, register.size, name).data.hex(), answer.hex())
-    at = len(writes) - len(values) + len(early)
-    first = [*writes[:at], *(looks[name] for name in early)]
-    return [*first, *writes[at:], *looks.values(), off], len(first) if early else -1
+        looks.append((link.bus.reading(register.address, register.size, name).data.hex(), answer.hex()))
+    return looks
 
 
 def _orders(link: ServoLink, asks: list[Ask]) -> list[tuple[str, str]]:

@@ -39,7 +39,6 @@ _PROOF_S: Final = 0.06  # three times the watchdog's time
 _ACTS_S: Final = 0.05  # until the proof's duty shows
 _FASTEST: Final = 255
 _SWITCH_LOOK_S, _SWITCH_LOOKS = 0.1, 3  # that must agree: one answer may be lost
-_SUPPLIED, _UNSUPPLIED, _SILENT = "has its supply", "tells that it has no supply", "is silent"
 _MARK: Final = 1  # of a register that has another value after a loss of supply, and moves nothing
 
 _ERRORS: Final = {
@@ -136,24 +135,22 @@ def objections(link: ServoLink) -> tuple[str, ...]:
 
 
 def try_switch(link: ServoLink, setup: ServoSetup, store: BeforeStore, asks: Asks) -> None:
-    """Have a person cut the supply by its switch: the servo must start anew, or tell that it has no supply.
+    """Have a person cut the supply by its switch: the servo must fall silent, and start anew.
 
-    A pulled plug of the bus makes it silent, too, but it forgets nothing: a register tells, which rig has marked.
+    One that answers on is fed by something, and that may drive it. A pulled plug of the bus makes it silent, too, but
+    it forgets nothing: a register tells, which rig has marked.
     Raises Fault SERVO_SWITCH_UNTRIED where that is not seen in time, LINK_*, SERVO_CHANGED, ARM_READBACK.
     """
-    id, voltage, marked = link.bus.id, link.model.role("voltage"), link.model.roles["marked"]
-    state, looks = "", 0
+    id, marked = link.bus.id, link.model.roles["marked"]
 
-    def sees(*awaited: str) -> Callable[[], bool]:
+    def sees(*, silence: bool) -> Callable[[], bool]:
+        looks = 0
+
         def is_seen() -> bool:
-            nonlocal state, looks
+            nonlocal looks
             link.client.wait(_SWITCH_LOOK_S)
-            now, value = _SILENT, link.value_of(id, voltage.name)
-            if value is not None:
-                now = _SUPPLIED if value * voltage.scale > 0.5 * setup.supply_V else _UNSUPPLIED
-            looks = looks + 1 if now == state else 1
-            state = now
-            return looks >= _SWITCH_LOOKS and state in awaited
+            looks = looks + 1 if (link.value_of(id, marked) is None) == silence else 0
+            return looks >= _SWITCH_LOOKS
 
         return is_seen
 
@@ -161,12 +158,12 @@ def try_switch(link: ServoLink, setup: ServoSetup, store: BeforeStore, asks: Ask
     store.save(link.model, id, {marked: before}, {marked: [_MARK]})
     try:
         link.hold(marked, _MARK)
-        if not asks(f"open the switch of the servo's supply: {setup.supply_switch}", sees(_SILENT, _UNSUPPLIED)):
-            raise Fault("SERVO_SWITCH_UNTRIED", f"servo {id} answered on: does this switch cut its supply?")
-        was_silent = state == _SILENT
-        if not asks(f"servo {id} {state}: close the switch again", sees(_SUPPLIED)):
+        if not asks(f"open the switch of the servo's supply: {setup.supply_switch}", sees(silence=True)):
+            words = f"servo {id} answered on: does this switch cut its supply, and all that feeds it?"
+            raise Fault("SERVO_SWITCH_UNTRIED", words)
+        if not asks(f"servo {id} is silent: close the switch again", sees(silence=False)):
             raise Fault("SERVO_SWITCH_UNTRIED", f"servo {id} did not come back")
-        if was_silent and link.value(marked) == _MARK:
+        if link.sure(marked) == _MARK:
             words = f"servo {id} was silent, but has not started anew: a plug of its bus was out, its supply not cut"
             raise Fault("SERVO_SWITCH_UNTRIED", words)
     finally:

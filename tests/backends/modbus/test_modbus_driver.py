@@ -549,6 +549,21 @@ def test_a_host_that_stands_still_again_while_a_loop_reacts_ends_the_run(monkeyp
     assert "all that `rig check` counts" in fault.detail and list(stands_s) == [0.0]
 
 
+def test_a_host_that_stood_still_behind_its_request_until_the_watchdog_has_acted_is_told_so(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its reply, of before that, had come meanwhile: LINK_TIMEOUT told of replies that were late."""
+    rig.tick(0.6)
+    write, stands_s = rig.block.write, iter([0.0, 1.0])
+
+    def stands_still(data: bytes) -> None:
+        write(data)
+        rig.block.sleep_until(rig.block.now_s() + next(stands_s, 0.0))
+
+    monkeypatch.setattr(rig.block, "write", stands_still)
+    assert rig.fault_while_driving(4).code == "DEVICE_WATCHDOG"
+
+
 @pytest.mark.parametrize("at", [3, 5], ids=["address", "how many"])
 def test_a_write_that_is_confirmed_otherwise_is_a_fault(at: int) -> None:
     """Asked separately the drive goes out by FC16, whose reply repeats where and how many registers."""

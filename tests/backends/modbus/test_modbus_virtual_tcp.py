@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from late_bus import LateBus, longest_reaction_s
 
 from rig import config
 from rig.backends.modbus.driver import ModbusDriver
@@ -12,6 +14,7 @@ from rig.backends.modbus.emulated.tcp_slave import Adu
 from rig.backends.modbus.emulated.virtual_tcp_block import SENT_AGAIN_S, To, VirtualTcpBlock
 from rig.backends.modbus.opening import modbus_driver
 from rig.core.faults import Fault
+from rig.running.preflight.room_to_stop import reaction_periods, stopping_rad
 
 ROOT = Path(__file__).resolve().parents[3]
 EXPERIMENT = config.load(ROOT / "config" / "modbus-tcp.yaml").model_copy(
@@ -53,6 +56,17 @@ def fault_of(block: VirtualTcpBlock, driver: ModbusDriver) -> Fault:
     with pytest.raises(Fault) as caught:
         run_for(block, driver, 1.0)
     return caught.value
+
+
+def noting(late: LateBus, block: VirtualTcpBlock) -> Callable[[bytes], None]:
+    """What sends a request, and notes when."""
+    write = block.write
+
+    def noted(data: bytes) -> None:
+        late("request", data, block.now_s())
+        write(data)
+
+    return noted
 
 
 READ_STATUS = Adu(7, 1, bytes((3, 0, 19, 0, 1))).pack()
@@ -159,3 +173,18 @@ def test_a_device_that_forgot_the_connection_and_one_that_never_answers() -> Non
     driver.safe_stop()
     block.sleep_until(block.now_s() + EXPERIMENT.device.arming.watchdog_s)
     assert block.truth().output_V == 0.0
+
+
+def test_a_loop_whose_host_stands_still_reacts_within_what_the_room_to_stop_counts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Between exchanges, again and again: replies wait in the connection meanwhile."""
+    d, longest_s = EXPERIMENT.device, 0.0
+    for seed in range(40):
+        block, driver = driven()
+        late = LateBus(lambda driver=driver, block=block: driver._waits.left_s(block.now_s()), 0.002, 0.0, seed)  # type: ignore[misc]
+        late._kind = "host"
+        monkeypatch.setattr(block, "write", noting(late, block))
+        longest_s = max(longest_s, longest_reaction_s(driver, block, late, d.period_s, reaction_periods(d), 0.4))
+    counted_s = stopping_rad(d) / d.limits.max_speed_rad_s - d.limits.coast_tau_s
+    assert 0.7 * counted_s < longest_s <= counted_s

@@ -168,3 +168,26 @@ def test_no_drive_goes_out_and_nothing_is_asked_once_ticks_came_too_late_togethe
         with pytest.raises(Fault, match="LATE"):
             driver.write(0.1) if late == "ahead of a drive" else driver.read()
         assert driver._exchange.seq == asked
+
+
+@pytest.mark.parametrize(("stands_s", "is_sent"), [(0.125, True), (0.14, False)])
+def test_a_drive_behind_a_stall_that_a_boards_watchdog_has_ended_is_not_sent_and_has_its_name(
+    stands_s: float, is_sent: bool
+) -> None:
+    """Within a time-out of the watchdog's time a late frame may have fed it: the board says what is the case."""
+    with opened(0.03, 0.1) as (d, driver, line):
+        driver.arm(d.arming)
+        driver.read()
+        driver.safe_stop()
+        line.sleep_until(line.now_s() + 0.5)
+        driver.arm(d.arming)
+        driver.write(0.1)  # a pause is no stall
+        driver.read()
+        line.sleep_until(line.now_s() + stands_s)
+        asked = driver._exchange.seq
+        if is_sent:
+            driver.write(0.1)
+        else:
+            with pytest.raises(Fault, match=r"DEVICE_WATCHDOG.*stood still for 14\d ms"):
+                driver.write(0.1)
+        assert (driver._exchange.seq > asked) == is_sent

@@ -25,6 +25,10 @@ def weak(bench: Bench) -> None:
     bench.servo.supply(0.7 * bench.setup.supply_V)
 
 
+def strong(bench: Bench) -> None:
+    bench.servo.supply(1.3 * bench.setup.supply_V)
+
+
 def restart(bench: Bench) -> None:
     bench.servo.power_cycle()
     bench.servo._awake_s = 0.0  # at once: else it does not answer, which is told as such
@@ -62,6 +66,8 @@ def short(bench: Bench) -> None:
 CASES: list[tuple[Callable[[Bench], None], set[str]]] = [
     (heat, {"SERVO_HOT"}),
     (weak, {"SERVO_SUPPLY"}),
+    (strong, {"SERVO_SUPPLY"}),
+    (alert, {"SERVO_ERROR", "SERVO_HOT"}),
     (restart, {"DEVICE_RESET"}),
     (torque_off, {"DEVICE_RESET"}),
     (protects, {"SERVO_OVERLOAD"}),

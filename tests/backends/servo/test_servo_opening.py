@@ -26,6 +26,7 @@ REFUSED: list[tuple[str, str, dict[str, int], str, str]] = [
     ("dynamixel", "it follows another", {"drive_mode": 2}, "SERVO_SETUP", "follows"),
     ("dynamixel", "it obeys another id", {"secondary_id": 9}, "SERVO_SETUP", "obeys"),
     ("dynamixel", "it may drive at power-on", {"startup_configuration": 1}, "SERVO_SETUP", "as soon as"),
+    ("dynamixel", "its RAM comes back at power-on", {"startup_configuration": 2}, "SERVO_SETUP", "as soon as"),
     ("dynamixel", "a hardware error", {"hardware_error_status": 0x20}, "SERVO_ERROR", "overload"),
     ("dynamixel", "its lowest voltage is near", {"min_voltage_limit": 50}, "SERVO_SUPPLY", "too near"),
     ("dynamixel", "its highest voltage is near", {"max_voltage_limit": 50}, "SERVO_SUPPLY", "too near"),
@@ -199,7 +200,7 @@ def test_the_watchdog_is_believed_only_where_the_duty_went(
         assert (bench.driver.failsafe is not None) == proven, phase
         assert proven or any("the motor drives on" in remark for remark in info.remarks)
         assert abs(bench.servo.truth().y_rad - before_rad) < COUNT_RAD
-        assert not bench.servo.is_on and bench.servo.value("bus_watchdog") == 0
+        assert not bench.servo.is_on and bench.servo.value("bus_watchdog") == 0 == bench.servo.of("drive")
         assert bench.wrong() == []
 
 

@@ -16,7 +16,7 @@ from evidence import evidence
 from servo_bench import BYSTANDERS, PROTOCOLS, Bench, Keeper, addressed
 
 from rig.backends.servo import opening
-from rig.backends.servo.before import BeforeStore, order_of, values_of
+from rig.backends.servo.before import BeforeStore, back_of, put_back, values_of
 from rig.backends.servo.bus import Ask, ServoLink
 from rig.backends.servo.facts import facts
 from rig.backends.servo.line import servo_of
@@ -105,6 +105,14 @@ def test_only_what_differs_is_written_and_put_back(
     assert bench.servo.eeprom_writes == dict.fromkeys(writes, 2)
 
 
+def test_a_goal_beyond_a_limit_that_was_lowered_since_is_put_back_to_that() -> None:
+    """It is refused by now: nothing would ever be put back."""
+    bench = Bench()
+    bench.servo.put("pwm_limit", 600)
+    run(bench)
+    assert bench.servo.of("drive") == 600 == bench.servo.of("max_drive") and bench.store.load(bench.setup.model) is None
+
+
 def test_what_the_keeper_would_put_back_is_known_before_anything_is_written() -> None:
     """It starts then: what the servo holds at that time says nothing of what will be changed."""
     bench = Bench()
@@ -113,7 +121,8 @@ def test_what_the_keeper_would_put_back_is_known_before_anything_is_written() ->
     def watched(link: ServoLink, store: BeforeStore) -> NoReturn:
         values = store.load(link.model)
         assert values is not None and bench.servo.eeprom_writes.total() == 0
-        orders.append({ask.about.split()[0] for ask in order_of(link, values)})
+        early, middle, last, _ = back_of(link.model, values, {})
+        orders.append({name for name, _ in early + middle + last})
         raise Fault("SERVO_UNWATCHED", "no keeper")
 
     bench.driver._start_guardian = watched
@@ -169,7 +178,7 @@ def killed_at(protocol: str, step: int, tmp_path: Path) -> bool:
 
 
 @pytest.mark.parametrize(("protocol", "step"), [
-    *((p, s) for p in PROTOCOLS for s in (0, 1, 4, 7, 12)), ("dynamixel", 37),
+    *((p, s) for p in PROTOCOLS for s in (0, 1, 4, 7, 12)),
     *evidence(*((p, s) for p in PROTOCOLS for s in range(LAST_STEP) if s not in (0, 1, 4, 7, 12))),
 ])  # fmt: skip
 def test_a_run_that_is_killed_anywhere_is_put_right_by_the_next(protocol: str, step: int, tmp_path: Path) -> None:
@@ -251,6 +260,9 @@ def test_what_the_keeper_writes_stops_a_servo_and_puts_it_back_wherever_the_run_
             assert keeper.restore(), phase
             assert bench.servo.of("drive") in (0, duty), phase  # not rig's
         assert owned(bench) == before and not bench.servo.is_on and bench.wrong() == [], phase
+        seen = addressed(bench.bus.bus)
+        assert max(seen[id] for id in BYSTANDERS) <= 1, phase
+        assert not any(one.is_on or one.eeprom_writes for one in bench.bystanders), phase
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
@@ -376,6 +388,134 @@ def left_by_a_killed_run(bench: Bench, tmp_path: Path) -> BeforeStore:
     bench.store.path = tmp_path / "servo.json"
     bench.armed()
     return BeforeStore(bench.store.path)
+
+
+KINDS = ["as shipped", "PWM mode", "its limit is the run's", "a goal of a velocity"]
+WHO = ["the end", "the next command", "its keeper", "its keeper ahead of all"]
+PUT_BACK = [(p, kind, who) for p in PROTOCOLS for kind in KINDS for who in WHO if p == "dynamixel" or kind != KINDS[3]]
+
+
+def kept_as(protocol: str, kind: str, store: BeforeStore) -> Bench:
+    """A servo as somebody has set it."""
+    bench = Bench(protocol, store=store, torque_on_by_goal=True)
+    model, servo = bench.setup.model, bench.servo
+    servo.put("position_p_gain", 123)
+    if kind == "PWM mode":
+        servo._set("mode", model.pwm_mode)
+        servo._set("drive", 0)
+    elif kind == "its limit is the run's":
+        for role in ("max_drive", "drive") if protocol == "dynamixel" else ("max_drive",):
+            servo._set(role, bench.setup.max_units)
+    elif kind == "a goal of a velocity":
+        servo._set("mode", 1)
+        servo.put("goal_velocity", 33)
+    return bench
+
+
+def all_of(bench: Bench) -> dict[str, int]:
+    return {r.name: bench.servo.value(r.name) for r in bench.setup.model.registers.values() if r.access == "rw"}
+
+
+def putting_back(bench: Bench, who: str) -> Callable[[int], object]:
+    """A run that is over, or was killed while it drove; what puts the servo back, killed ahead of that write."""
+    keeper = bench.driver._start_guardian = Keeper(bench)
+    if who == WHO[-1]:
+        with pytest.MonkeyPatch.context() as patch, contextlib.suppress(Killed):
+            patch.setattr(bench.driver._link, "put", Mock(side_effect=Killed))
+            bench.opened()
+    else:
+        bench.armed()
+        bench.tick(0.3)
+    if who.startswith("its keeper"):
+        assert keeper.stop()
+        orders, keeper._restore = keeper._restore, ()
+
+        def given(most: int) -> bool:
+            keeper._restore = orders[:most]
+            return keeper.restore() and most >= len(orders)
+
+        return given
+    if who == "the end":
+        bench.driver.safe_stop()
+    driver, writes = bench.driver if who == "the end" else bench.another(), 0
+    put, protocol = bench.bus.write, bench.setup.model.protocol
+
+    def ended(most: int) -> bool:
+        def write(data: bytes) -> None:
+            nonlocal writes
+            if (
+                data[7 if protocol == "dynamixel" else 4] == 3
+                and bench.own.id == data[4 if protocol == "dynamixel" else 2]
+            ):
+                writes += 1
+                if writes > most:
+                    raise Killed
+            put(data)
+
+        with pytest.MonkeyPatch.context() as patch, contextlib.suppress(Killed):
+            patch.setattr(bench.bus, "write", write)
+            put_back(driver._link, bench.store, is_left=who != "the end")
+        return writes <= most
+
+    return ended
+
+
+@pytest.mark.parametrize(("protocol", "kind", "who"), PUT_BACK)
+def test_until_all_is_back_no_goal_is_left_beside_its_limit_and_no_torque(
+    protocol: str, kind: str, who: str, tmp_path: Path
+) -> None:
+    """At every packet: a servo that is left there, whoever comes next, drives nowhere."""
+    bench = kept_as(protocol, kind, BeforeStore(tmp_path / "servo.json"))
+    before, servo, wrong, was_off = all_of(bench), bench.servo, list[str](), False
+    ended, send = putting_back(bench, who), bench.bus.bus.send
+    drive, limit = bench.setup.model.roles["drive"], bench.setup.model.roles["max_drive"]
+
+    def look(data: bytes, t_s: float) -> None:
+        nonlocal was_off
+        was_off = was_off or not servo.is_on
+        is_back = servo.value(limit) == before[limit] and kind != "its limit is the run's"
+        rest = {name for name, value in owned(bench).items() if value != before[name]} - {drive, "torque_enable"}
+        # on some servos the write of duty 0 switches the torque on, for one packet
+        is_pwm = servo.of("mode") == bench.setup.model.pwm_mode and not (is_back and who == "its keeper")
+        may_drive = servo.is_on and (servo.value(drive) != 0 or not is_pwm)
+        if was_off and (may_drive or (is_back and (rest or servo.value(drive) != 0))):
+            wrong.append(f"{servo.value(drive)}, {servo.value(limit)}, {servo.is_on}, {data.hex(' ')}")
+        send(data, t_s)
+
+    bench.bus.bus.send = look  # type: ignore[method-assign]
+    assert ended(1000) and not servo.is_on and bench.wrong() == []
+    owners = f"{before[drive]}, {before[limit]}, False"  # as it was, and once all is back
+    assert [one for one in wrong if not one.startswith(owners)] == [] and owned(bench) == {
+        name: before[name] for name in owned(bench)
+    }
+
+
+@pytest.mark.parametrize(("protocol", "kind", "who", "step"), [
+    *((*one, 3) for one in PUT_BACK), *evidence(*((*one, 1) for one in PUT_BACK)),
+])  # fmt: skip
+def test_another_servo_of_the_same_values_gets_none_wherever_the_putting_back_was_killed(
+    protocol: str, kind: str, who: str, step: int, tmp_path: Path
+) -> None:
+    """It would have the first one's gains and goals. The first one gets all of them once it is there again."""
+    most, is_over = 0, False
+    while not is_over:
+        store = BeforeStore(tmp_path / "servo.json")
+        first, other = kept_as(protocol, kind, store), kept_as(protocol, kind, BeforeStore(store.path))
+        if protocol == "dynamixel":  # of a Feetech it is kept without supply: another one is refused
+            other.servo.put("position_p_gain", 77)
+        before, others = owned(first), all_of(other)
+        is_over = putting_back(first, who)(most) is True
+        if store.path is not None and store.path.exists():
+            restore(other.driver._link, other.store)
+            assert all_of(other) == others and other.wrong() == [], most
+            if other.store.aside_path is not None:
+                other.store.aside_path.replace(store.path)
+            first.bus.sleep_until(first.bus.now_s() + 0.5)
+            restore(first.another()._link, BeforeStore(store.path))
+        assert owned(first) == before and not first.servo.is_on and first.wrong() == [], most
+        for path in tmp_path.iterdir():
+            path.unlink()
+        most += step
 
 
 @pytest.mark.parametrize("opens", [True, False])
@@ -527,9 +667,13 @@ def test_what_a_keeper_that_was_killed_had_still_to_put_back_the_next_command_do
     given, orders = 2, 3
     while given < orders:
         bench = Bench(protocol)
-        if mode == "PWM":
-            bench.servo._set("mode", bench.setup.model.pwm_mode)
-            bench.servo._set("drive", 0)
+        if mode == "PWM":  # and the run's limit: nothing of a run shows
+            for role, value in {
+                "mode": bench.setup.model.pwm_mode,
+                "max_drive": bench.setup.max_units,
+                "drive": 0,
+            }.items():
+                bench.servo._set(role, value)
         bench.servo.put("position_p_gain", 123)  # which a change of the mode resets
         keeper, before = Keeper(bench), owned(bench)
         bench.driver._start_guardian = keeper

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import math
 import os
+import random
 import signal
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from evidence import evidence
 from servo_bench import CONFIGS, PROTOCOLS, Bench
 from test_servo_opening import writes
 
 from rig.backends.servo.backend import SERVO
 from rig.backends.servo.emulated.faults import ReplyFault
 from rig.backends.servo.line import setup_of
+from rig.backends.tick_waits import UNWATCHED_S
 from rig.cli import driving, main
 from rig.config import load
 from rig.control.loop.stop_request import stop_on_signals
@@ -23,6 +27,7 @@ from rig.core import person
 from rig.core.faults import Fault
 
 SWITCH = {"supply_switch": "the red one"}
+LOST = {"position_p_gain", "goal_pwm", "torque_limit"}  # what a servo may forget with its supply
 
 
 class Hand:
@@ -87,19 +92,17 @@ def test_a_switch_that_cuts_nothing_or_stays_open_ends_it(
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_one_wrong_answer_is_no_switch_that_cuts(protocol: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_lost_answer_is_no_switch_that_cuts(protocol: str, monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(protocol, setup=SWITCH)
-    link, wrong = bench.driver._link, [0]
+    link, marked, lost = bench.driver._link, bench.setup.model.roles["marked"], [True]
     told = link.value_of
     monkeypatch.setattr(
-        link,
-        "value_of",
-        lambda id, name: wrong.pop() if wrong and name == link.model.roles["voltage"] else told(id, name),
+        link, "value_of", lambda id, name: None if name == marked and lost and lost.pop() else told(id, name)
     )
     monkeypatch.setattr(person, "asks", Hand(bench, "open"))
     with pytest.raises(Fault, match="answered on"):
         bench.opened()
-    assert not wrong
+    assert not lost
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
@@ -123,17 +126,91 @@ def test_who_is_killed_while_a_switch_is_tried_leaves_no_mark_for_good(
     assert bench.registers() == before
 
 
-def test_a_supply_that_is_as_good_as_gone_counts_as_cut(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As where the adapter feeds the servo's chip."""
-    bench = Bench("feetech", setup=SWITCH)
-    supply_V = bench.setup.supply_V
+@pytest.mark.parametrize("share", [0.9, 0.5, 0.3])
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_switch_that_leaves_a_part_of_the_supply_cuts_nothing(
+    share: float, protocol: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where an adapter feeds the servo, too: 4.5 V of a USB's turn one of 12 V."""
+    bench = Bench(protocol, setup=SWITCH)
+    supply_V, before = bench.setup.supply_V, bench.registers()
 
     def hand(words: str, is_seen: Callable[[], bool]) -> bool:
-        bench.servo.supply(0.3 * supply_V if "open" in words else supply_V)
+        bench.servo.supply(share * supply_V if "open" in words else supply_V)
         return any(is_seen() for _ in range(20))
 
     monkeypatch.setattr(person, "asks", hand)
-    bench.armed()
+    with pytest.raises(Fault, match=r"SERVO_SWITCH_UNTRIED.*answered on"):
+        bench.opened()
+    assert bench.registers() == before
+
+
+class Switch:
+    """A supply that changes ahead of a packet: it is cut, and may bounce, or it is another voltage.
+
+    at_s  when it was first not as it must be while the servo was armed, s
+    """
+
+    def __init__(self, bench: Bench, phase: int) -> None:
+        rng = random.Random(phase)
+        self.at_s, self.share = math.inf, rng.choice([0.0, 0.0, 0.5, 1.6])
+        self._bench, self._left, self._send = bench, rng.randrange(160), bench.bus.write
+        self._closes_s = iter([rng.uniform(0.0, 0.3) for _ in range(rng.choice([0, 1, 5]))])
+        self._next_s, self._is_closed, self._has_begun = math.inf, True, False
+        bench.bus.write = self._write  # type: ignore[method-assign]  # of this bus alone
+
+    def _write(self, data: bytes) -> None:
+        bench, now_s = self._bench, self._bench.bus.now_s()
+        self._left -= len(writes(bench)) > 0
+        if self._left < 0 and not self._has_begun:
+            self._has_begun, self._next_s = True, math.inf if self.share else now_s
+            if self.share:
+                bench.servo.supply(self.share * bench.setup.supply_V)
+        if now_s >= self._next_s:
+            self._is_closed = not self._is_closed
+            bench.bus.power_cycle() if self._is_closed else bench.bus.power_off()
+            self._next_s = now_s + next(self._closes_s, math.inf)
+        if bench.driver._armed and self._has_begun and (self.share or not self._is_closed):
+            self.at_s = min(self.at_s, now_s)
+        self._send(data)
+
+    def mend(self) -> None:
+        bench = self._bench
+        bench.bus.write = self._send  # type: ignore[method-assign]
+        bench.servo.supply(bench.setup.supply_V)
+        bench.bus.power_cycle()
+        bench.bus.sleep_until(bench.bus.now_s() + 1.0)
+
+
+def switched(protocol: str, phase: int) -> None:
+    bench = Bench(protocol, torque_on_by_goal=True)
+    before, outputs, switch = bench.registers(), bench.bus.outputs[0], Switch(bench, phase)
+    with suppress(Fault):
+        bench.armed()
+        for k in range(12):
+            bench.tick(0.4 if k % 4 < 2 else -0.4)
+        bench.driver.safe_stop()
+        bench.driver.arm(bench.limits)
+        bench.tick(0.2)
+    bench.driver.safe_stop()
+    bench.driver.close()
+    switch.mend()
+    assert not bench.servo.is_on and bench.wrong() == [], phase
+    late_s = switch.at_s + (0.0 if switch.share == 0.0 else UNWATCHED_S)
+    assert not any(volts for t_s, volts in outputs if t_s > late_s), phase
+    bench.another().open()
+    bench.driver.close()
+    after = bench.registers()
+    assert not bench.servo.is_on and {name for name in before if before[name] != after[name]} <= LOST, phase
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize(("first", "end"), [(0, 6), *evidence(*((k, k + 24) for k in range(6, 200, 24)))])
+def test_a_switch_that_opens_in_a_run_bounces_or_leaves_another_voltage_ends_the_drive_in_the_time_that_is_counted(
+    first: int, end: int, protocol: str
+) -> None:
+    for phase in range(first, end):
+        switched(protocol, phase)
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
