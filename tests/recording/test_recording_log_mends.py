@@ -261,6 +261,20 @@ def test_a_velocity_that_is_one_count_over_its_time_is_refused(
         assert read(log_of(tmp_path, columns | {"vel": np.round(bench.v_rad_per_s, digits)}), log)
 
 
+def test_counts_of_a_coarse_encoder_over_the_time_of_uneven_rows_are_not_one_count(
+    tmp_path: Path, bench: Bench
+) -> None:
+    """Their velocities are few counts over few ticks, too, but over the row's own time: they add up to the counts."""
+    at_s = np.cumsum(0.005 * (0.5 + np.random.default_rng(2).exponential(0.5, 1200)))
+    y = np.interp(at_s, 1e-3 * bench.ms, np.cumsum(PERIOD_S * bench.v_rad_per_s))
+    counts, shown = np.floor(y * 8.0 / TURN), at_s <= 1e-3 * bench.ms[-1]
+    v = np.diff(counts, prepend=0.0) * TURN / 8.0 / np.diff(at_s, prepend=0.0)
+    volts = np.interp(at_s, 1e-3 * bench.ms, bench.pwm * 12.0 / 255.0)
+    columns = {"ms": 1e3 * at_s[shown], "volts": volts[shown], "vel": np.round(v[shown], 4)}
+    found = read(log_of(tmp_path, columns), replace(SPEED, velocity=LogColumn("rad/s"), counts_per_turn=None))
+    assert np.diff(found.y_rad) * 8.0 / TURN == pytest.approx(np.diff(counts[shown]), abs=0.01)
+
+
 def test_a_velocity_that_wraps_without_a_motor_in_it_is_refused(tmp_path: Path, bench: Bench) -> None:
     noise = np.random.default_rng(3).integers(-32768, 32767, bench.ms.size).astype(float)
     path = log_of(tmp_path, {"ms": bench.ms, "volts": bench.pwm, "vel": noise})
@@ -381,6 +395,17 @@ def test_a_time_that_begins_again_begins_another_run(tmp_path: Path, bench: Benc
         read(path, COUNTED)
     own = log_of(tmp_path, {"t_s": 1e-3 * twice["ms"], "u_V": twice["pwm"], "y_rad": twice["counts"]})
     assert [len(one) for one in read_all(own)] == [bench.ms.size, bench.ms.size]
+
+
+def test_runs_of_a_noisy_velocity_are_no_clock_that_begins_anew(tmp_path: Path, bench: Bench) -> None:
+    """Noise changes as much from row to row as a shaft that turns on, but to and fro."""
+    rows, noise, alike = 210, np.random.default_rng(1), []
+    for _ in range(40):
+        v = np.tile(bench.v_rad_per_s[:rows], 4) + noise.normal(0.0, 10.0, 4 * rows)
+        columns = {"ms": np.tile(bench.ms[:rows], 4), "volts": np.tile(bench.pwm[:rows], 4) / 20.0, "vel": v}
+        path = log_of(tmp_path, columns)
+        alike.append(len(read_all(path, replace(SPEED, velocity=LogColumn("rad/s"), counts_per_turn=None))))
+    assert alike == [4] * 40
 
 
 def test_a_column_may_say_which_run_a_row_is_of(tmp_path: Path, bench: Bench) -> None:

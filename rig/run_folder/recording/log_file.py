@@ -292,15 +292,16 @@ def _summed(
             f"the velocity jumps to {end:.5g} again and again, and stays there to the last digit: it is cut off",
             "record with smaller drives, let the sensor or its number reach farther, or log the position",
         )
-    if log_mends.is_of_one_count(unwrapped, t_s):
+    scale = log.scale("velocity", column.unit)
+    summed = log_mends.summed_up(scale * unwrapped, t_s, notes, 0.5 * abs(scale) * log_mends.last_digit(unwrapped))
+    if not summed.is_of_counter and log_mends.is_of_one_count(unwrapped, t_s):
         raise RecordingError(
             path,
             "each velocity is one count over the time that it took, and stands until the next one, or is a few ticks: "
             "between counts nobody can tell how the shaft turned",
             "log the counts themselves, or the time between counts with a finer clock and a finer encoder",
         )
-    scale = log.scale("velocity", column.unit)
-    return log_mends.summed_up(scale * unwrapped, t_s, notes, 0.5 * abs(scale) * log_mends.last_digit(unwrapped))
+    return summed
 
 
 def _drive_V(path: Path, u: Floats, one: LogColumn, log: LogFormat, rows: Sequence[int], notes: list[str]) -> Floats:

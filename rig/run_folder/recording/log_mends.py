@@ -90,11 +90,13 @@ def _turns_on(y: Floats, at: Integers) -> bool:
     """Whether a position goes on by as much behind these rows as before and after them, and at one of them by much."""
     steps = np.diff(y)
     inside = at[(at > 0) & (at < steps.size - 1)]
-    bends = np.abs(steps[inside] - 0.5 * (steps[inside - 1] + steps[inside + 1]))
-    usual = float(np.quantile(np.abs(np.diff(steps)), _NEARLY))
-    most = float(np.abs(steps).max(initial=0.0))
-    moves = np.minimum(np.minimum(np.abs(steps[inside - 1]), np.abs(steps[inside])), np.abs(steps[inside + 1]))
-    return bool(inside.size) and bool(np.all(bends <= usual) and np.any(moves > _TURNS_ON * most))
+    near = np.stack([steps[inside - 1], steps[inside], steps[inside + 1]])
+    bends, most = np.abs(np.diff(steps)), float(np.abs(steps).max(initial=0.0))
+    goes_on = np.abs(near[1] - 0.5 * (near[0] + near[2])) <= np.quantile(bends, _NEARLY)
+    # noise turns, too, but not one way
+    least = max(_TURNS_ON * most, float(np.median(bends)))
+    turns = (np.abs(near).min(axis=0) > least) & (np.abs(np.sign(near).sum(axis=0)) == len(near))
+    return bool(goes_on.all() and turns.any())
 
 
 def _is_sure(y: Floats, at: Integers) -> bool:
@@ -309,6 +311,11 @@ class Summed(NamedTuple):
     y_rad: Floats
     rows: Integers | None = None
     adds_up: bool = False
+
+    @property
+    def is_of_counter(self) -> bool:
+        """Whether each row moves by whole steps: over the time of the row, which may be uneven, and of no count."""
+        return self.rows is None and not self.adds_up
 
 
 def last_digit(numbers: Floats) -> float:
