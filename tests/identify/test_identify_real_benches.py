@@ -691,15 +691,18 @@ def test_time_stamps_of_the_row_before_are_named(*, slots: bool) -> None:
     assert all(right(one, slow, 0.01, "tau_s", "K_rad_s_V", "fc_V") for one in answers)
 
 
-@pytest.mark.parametrize("lost", [0.03, 0.0])
-def test_counts_that_are_lost_one_way_are_put_right_and_half_bridges_that_are_not_alike_are_none(lost: float) -> None:
-    """K was half of that too small, beside laws of the motor that it has not."""
+@pytest.mark.parametrize(("lost", "unlike", "noise_steps"), [(0.03, 0.0, 0.0), (0.0, 0.03, 0.0), (0.0, 0.01, 12.0)])
+def test_counts_that_are_lost_one_way_are_put_right_and_half_bridges_that_are_not_alike_are_none(
+    lost: float, unlike: float, noise_steps: float
+) -> None:
+    """K was half of that too small, beside laws of the motor that it has not; behind noise bridges were lost counts."""
     t_s, u_V, y_rad = recorded(MOTOR, (3.0, 5.0, 7.0), rows=1000)
     if lost:
         steps = np.diff(y_rad, prepend=0.0)
         y_rad = STEP_RAD * np.floor(np.cumsum(np.where(steps > 0.0, (1.0 - lost) * steps, steps)) / STEP_RAD)
     else:
-        u_V = u_V / np.where(u_V > 0.0, 1.03, 0.97)  # the motor got another
+        u_V = u_V / np.where(u_V > 0.0, 1.0 + unlike, 1.0 - unlike)  # the motor got another
+    y_rad = y_rad + STEP_RAD * np.round(np.random.default_rng(1).normal(0.0, noise_steps, y_rad.size))
     answer = answered((t_s, u_V, y_rad))
     assert any("loses counts" in reason for reason in answer.reasons) == bool(lost), answer.reasons
     assert [law.name for law in answer.law or ()] == ([] if lost else ["gain_by_sign"])
