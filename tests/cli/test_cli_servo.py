@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -45,6 +46,7 @@ def test_a_scan_shows_every_servo_and_what_would_be_refused(port: str) -> None:
     assert servos[0]["supply_V"] == 5.0
     text = said("servo", "scan", port, "--baud", "1000000")
     assert "id 7: xl330-m077" in text and "refused: SERVO_SETUP" in text
+    assert text.startswith(f"{port}: 1000000 baud")  # before the seconds in which each id is asked
 
 
 def test_a_scan_at_another_baud_finds_nobody(port: str) -> None:
@@ -148,6 +150,7 @@ def test_a_first_config_knows_what_the_servo_tells(port: str, tmp_path: Path) ->
     assert e.daq.servo is not None and e.sensor.servo is not None
     assert (e.daq.port, e.daq.servo.model, e.daq.servo.id, e.drive.supply_V) == (port, "xl330-m288", 1, 5.0)
     assert e.emulated is None and e.sensor.servo.zero_counts == 2048
+    assert not re.search("emulated|virtual", file.read_text())
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
