@@ -105,7 +105,8 @@ ODD = {  # for each: the log, what the error says, what to type by it
     ),
     "a speed in turns": (log("t_s,u_V,speed_rev_s"), "of velocity rad/s", "--velocity speed_rev_s:UNIT"),
     "a drive called speed": (
-        log("millis,speed,angle_deg", row="{k}0,{u},{y:.4f}"), "of drive V", "--time ms --drive speed:UNIT --position deg"
+        log("millis,speed,angle_deg", row="{k}0,{u},{y:.4f}"), "of drive V",
+        "--time ms --drive speed:UNIT --position deg",
     ),
     "a speed": (log("t [s],u [V],omega [rad/s]"), "no column", "--time s --drive V --velocity rad/s"),
 }  # fmt: skip
