@@ -168,7 +168,7 @@ def _widened(answer: Answer, shares: Mapping[str, float], reasons: Sequence[str]
         value = known(answer.value(name))
         for halves in (u95, absolute):
             halves[name] = _wider(halves.get(name), share * abs(value)) if share > 0.0 else halves.get(name)
-        if share > 0.0 and name in grade and grade[name].value is not None:
+        if (share > 0.0 or value == 0.0) and name in grade and grade[name].value is not None:
             grade[name] = graded(value, u95[name], abs(value))
     verdict = "doubtful" if reasons and answer.verdict == "ok" else answer.verdict
     return answer.model_copy(
