@@ -34,7 +34,7 @@ MADE_BY = (  # rows of another code start anew
     "rig/identification",
     "rig/model",
     "firmware/motor",
-    *(f"rig/run_folder/recording/{name}.py" for name in ("columns", "errors", "recording", "series", "stage")),
+    *(f"rig/run_folder/recording/{name}.py" for name in ("sample_columns", "errors", "recording", "series", "stage")),
     *(f"tools/campaign_real/{name}.py" for name in ("before_the_tests", "departing_motor", "kinds", "rows", "shown")),
 )
 MADE_BY_RUNS = (
