@@ -20,7 +20,7 @@ from rig.identification.departures.departure import Bench
 from rig.identification.departures.fit import CORE, Fit, Problem, Rows, limits_of, solve, start
 from rig.identification.departures.laws import orders
 from rig.identification.departures.nuisances import pulls_apart
-from rig.identification.departures.outside import by_current, by_friction_waves, outside
+from rig.identification.departures.outside import by_current, by_friction_waves, instead_of_sag, outside
 from rig.identification.departures.pieces import Coupling, Cut
 from rig.identification.departures.profile import profiles
 from rig.identification.drive_scale import by_filter, by_steps, drive_step_V
@@ -1143,6 +1143,24 @@ def test_a_soft_coupling_holds_the_reading_back_by_its_acceleration_and_a_curren
     drives = given.u_V[np.searchsorted(given.edge_s, left.edge_s, side="right") - 1]
     assert np.all(np.abs(left.u_V) <= np.abs(drives) + 1e-12)
     assert 0.05 < float(np.max(1.0 - left.u_V / drives)) < 0.02 * (7.0 + 7.0)
+
+
+def test_a_sag_by_the_current_in_place_of_a_sag_has_the_size_that_fits_best() -> None:
+    """It had half, once, or one and a half times that of the sag: f_c was 1.4 % off beside 1 %."""
+    t_s, u_V, y_rad = recorded(MOTOR, (3.0, 5.0, 7.0), rows=800)
+    whole, problem, motor = _whole_fit((t_s, u_V, y_rad))
+    plain = solve(start(replace(problem, cut=whole), motor))
+    cut = by_current(plain, plain.motor.K_rad_s_V, 0.02)
+    window = cut.windows[0]
+    driven_V = u_V[window.first : window.first + window.t_s.size]
+    sags = TimeSeries(window.t_s, cut.readings(plain.motor, plain.starts), None, driven_V)
+    begun = Beginning.of([sags], sampled_data.fit([sags]), [None])
+    laws = [law for law in DEPARTURES if law.name == "sag"]
+    asked = begun.chooser.problem(begun.whole, (), math.inf)
+    fit = solve(start(asked, begun.motor._replace(sag_per_V=0.016)))  # four fifths of the true one
+    [found] = instead_of_sag(fit, laws[0], laws, begun.chooser)
+    assert found.rise < 0.0
+    assert fit.motor.tau_s + float(found.moves[0]) == pytest.approx(plain.motor.tau_s, rel=0.01)
 
 
 def test_a_quick_reversal_is_no_spike() -> None:

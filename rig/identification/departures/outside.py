@@ -101,25 +101,29 @@ def outside(fit: Fit, laws: Sequence[Departure], bench: Bench) -> list[Outside]:
     return found
 
 
-def instead_of_sag(fit: Fit, law: Departure, laws: Sequence[Departure], chooser: Chooser, bare: Fit) -> list[InPlace]:
+def instead_of_sag(fit: Fit, law: Departure, laws: Sequence[Departure], chooser: Chooser) -> list[InPlace]:
     """The best sag by the current in the place of the fit's sag, or of its supply's resistance.
 
     fit    with its noise
     law    that of ``laws``, one of ``INSTEAD_OF``
-    bare   the same without that law
     """
     like_per_V = fit.motor.sag_per_V if law.name == "sag" else fit.motor.source_per_V2 * chooser.bench.largest_V
     others = [one for one in laws if one is not law]
-    found = []
-    for share in SIZES:
-        size = share * like_per_V
-        trial = bare
+
+    def of_size(share: float) -> InPlace:
+        trial = fit  # with the law it is nearer than without it
         for _ in range(2):  # the current is that of the motor as it is fitted
-            cut = by_current(fit, trial.motor.K_rad_s_V, size)
+            cut = by_current(fit, trial.motor.K_rad_s_V, share * like_per_V)
             problem = replace(chooser.problem(cut, others, fit.problem.robust_rad), noise=fit.problem.noise)
             trial = solve(refitted(trial, problem, without(trial.motor, law)), TRIAL_ITERATIONS)
         moves = np.array([getattr(trial.motor, name) - getattr(fit.motor, name) for name in OF])
-        found.append(InPlace(law, SAG_BY_CURRENT, gained(fit, trial), moves))
+        return InPlace(law, SAG_BY_CURRENT, gained(fit, trial), moves)
+
+    found = [of_size(share) for share in SIZES]
+    low, here, high = (one.rise for one in found)
+    if low + high > 2.0 * here:  # a parabola through the three says where the best one is
+        step = 0.5 * (low - high) / (low + high - 2.0 * here)
+        found.append(of_size(SIZES[1] + (SIZES[1] - SIZES[0]) * min(max(step, -1.5), 1.5)))
     return [min(found, key=lambda one: one.rise)]
 
 
