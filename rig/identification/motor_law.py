@@ -503,7 +503,7 @@ def motor_law(
         like = only_like(parts, others, near, len(choice.laws))
     instead = in_place(nuisances, choice.laws, begun.chooser, bare)
     for sag in (one for one in choice.laws if one.name in INSTEAD_OF):
-        instead += instead_of_sag(parts, sag, choice.laws, begun.chooser, bare[sag.name])
+        instead += instead_of_sag(parts, sag, choice.laws, begun.chooser)
     by_size = profiles(parts, choice.laws, begun.chooser, of_model.effect)
     scatter = nuisances.scatter if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2
     scales = ScaleErrors.of(stated, *begun.travel_rad)
