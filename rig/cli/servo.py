@@ -188,6 +188,8 @@ def facts(port: str, id: int, baud: int, to: Path | None, out: Path, yes: bool) 
                 if fault.code == "INTERRUPTED":  # else nobody knows
                     flag.tell_drive(is_on=False)
                 raise
+            except click.Abort:  # the last question; a pipe, or Ctrl-C
+                click.echo("\nthe supply was not cut: what that would show is left out")
             flag.tell_drive(is_on=False)
         firmware = link.value(link.model.roles["firmware"])
     text = json_text({"model": link.model.name, "firmware": firmware} | {fact.name: fact.found for fact in found})

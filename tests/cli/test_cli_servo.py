@@ -112,6 +112,19 @@ def test_a_stop_by_another_panel_or_a_signal_reaches_a_horn_that_turns(
     assert registers["torque_enable"] == 0 and registers["operating_mode"] == 3
 
 
+def test_facts_are_written_where_nobody_cuts_the_supply(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seven facts were lost at the last question, and the horn had to turn again."""
+    monkeypatch.setattr("rig.backends.servo.keeper.first_that_ends_with", lambda _: "")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    file = tmp_path / "facts.json"
+    with ServoBoard() as board:
+        board.start([ServoOptions(model="sts3215", id=1)])
+        arguments = ["servo", "facts", board.port, "1", "--out", str(tmp_path), "--to", str(file)]
+        done = CliRunner().invoke(main, arguments, input="y\n", catch_exceptions=False)
+    assert done.exit_code == 0 and "the supply was not cut" in done.output, done.output
+    assert "lock_keeps_mode" not in json.loads(file.read_text())
+
+
 def test_there_is_nothing_to_put_back(port: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     assert "nothing to put back" in said("servo", "restore", port, "1")
