@@ -48,10 +48,13 @@ def scan(port: str | None, bauds: tuple[int, ...]) -> None:
 
     asked, found = bauds or USUAL_BAUDS, list[dict[str, object]]()
     for name in [port] if port is not None else _ports():
-        for seen in scan(lambda baud, name=name: opened(name, baud), asked):  # type: ignore[misc]
-            found.append({"port": name, **_told(seen)})
+        for baud in asked:
             if not asks_json():
-                _say(name, seen)
+                click.echo(f"{name}: {baud} baud, asks each id, in both protocols; that takes seconds", err=True)
+            for seen in scan(lambda baud, name=name: opened(name, baud), (baud,)):  # type: ignore[misc]
+                found.append({"port": name, **_told(seen)})
+                if not asks_json():
+                    _say(name, seen)
     if asks_json():
         say_json({"servos": found})
     elif not found:
@@ -185,6 +188,8 @@ def facts(port: str, id: int, baud: int, to: Path | None, out: Path, yes: bool) 
                 if fault.code == "INTERRUPTED":  # else nobody knows
                     flag.tell_drive(is_on=False)
                 raise
+            except click.Abort:  # the last question; a pipe, or Ctrl-C
+                click.echo("\nthe supply was not cut: what that would show is left out")
             flag.tell_drive(is_on=False)
         firmware = link.value(link.model.roles["firmware"])
     text = json_text({"model": link.model.name, "firmware": firmware} | {fact.name: fact.found for fact in found})

@@ -110,7 +110,12 @@ CORE_OF = dict(zip((*CORE, DELAY), PARAMETERS, strict=True))
 
 
 def graded(value: float, half: float | None, size: float) -> GradedNumber:
-    """How good a value is, by its half width at 95 %, None: not known, beside a size; all in one unit, any."""
+    """How good a number is.
+
+    value  in any unit
+    half   its half width at 95 %, in the same unit; None: not known
+    size   what that is relative to, in the same unit; >= 0
+    """
     share = half / size if half is not None and size > 0.0 and math.isfinite(half) else math.inf
     grade = next((grade for grade, most in GRADES.items() if share <= most), NOT_KNOWN)
     return GradedNumber(value=None if grade == NOT_KNOWN else value, u95=half, grade=grade)
@@ -503,7 +508,7 @@ def motor_law(
         like = only_like(parts, others, near, len(choice.laws))
     instead = in_place(nuisances, choice.laws, begun.chooser, bare)
     for sag in (one for one in choice.laws if one.name in INSTEAD_OF):
-        instead += instead_of_sag(parts, sag, choice.laws, begun.chooser, bare[sag.name])
+        instead += instead_of_sag(parts, sag, choice.laws, begun.chooser)
     by_size = profiles(parts, choice.laws, begun.chooser, of_model.effect)
     scatter = nuisances.scatter if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2
     scales = ScaleErrors.of(stated, *begun.travel_rad)

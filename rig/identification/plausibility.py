@@ -62,10 +62,14 @@ TURN_STEPS = 16.0  # of the sensor: a shaft that turns within one step goes no f
 FAR_STEPS = 10.0  # from an end of the travel: no reading there is one of that end
 LARGE_SPAN_RAD = 12.6  # two turns: a potentiometer of one turn cannot show more
 FEW_LEVELS = 8
+# A sensor that fails stands for so many rows, so much longer than the shaft else, and a share of them under drives that
+# turn it, each way.
+DEAD_ROWS, DEAD_TIMES, DEAD_SHARE = 100, 10, 0.1
 # Of a drive without its sign: the share of rows, and of the largest speed, that are motion backwards; the fewest of
 # them; rows over which a speed is taken; how speed and drive are correlated there.
 TURNS_BACK, FEWEST_BACK, SMOOTH_ROWS, FASTER_BACK = 0.1, 20, 4, 0.2
 IS_CURRENT = "is u_V a current? That is a torque, under which the speed only grows: log the motor's voltage"
+DID_IT_TURN = "did the shaft turn? check the motor's supply and its wires, and those of its sensor"
 SAY_UNIT = "For degrees type --position y_rad:deg; if they are radians, --position y_rad:rad"
 
 
@@ -155,12 +159,9 @@ def _columns(test: TimeSeries, span_rad: float, motor: Estimate | None) -> list[
     name = test.name
     y_levels, u_levels = np.unique(y).size, np.unique(u).size
     if 1 < y_levels <= FEW_LEVELS and u_levels > 4 * y_levels:
-        return [
-            Objection(
-                "refused",
-                f"{name}: y_rad has {y_levels} different values and u_V {u_levels}: are the two columns swapped?",
-            )
-        ]
+        cause = f"{name}: the position has {y_levels} different values and the drive {u_levels}"
+        swapped = "" if test.units_stated else "are the two columns swapped? Or "
+        return [Objection("refused", f"{cause}: {swapped}{DID_IT_TURN}")]
     if float(np.ptp(y)) == 0.0:
         return []  # the fit reports that
     steps = np.abs(np.diff(y))
@@ -174,6 +175,11 @@ def _columns(test: TimeSeries, span_rad: float, motor: Estimate | None) -> list[
                 f"leave the spike out (--rows {row + 1}: or --rows :{row}), or are u_V and y_rad swapped?",
             )
         ]
+    if (stands := _stands_dead(test)) is not None and not _explains(test, motor):
+        first, last = (test.first_row + row for row in stands)
+        rest = f"--rows :{first - 1}" if stands[0] > len(test) - 1 - stands[1] else f"--rows {last + 1}:"
+        reason = f"{name}: the position stands still from row {first} to row {last}, under drives that turn it else"
+        return [Objection("refused", f"{reason}: {DID_IT_TURN}; or leave these rows out ({rest})")]
     if _lacks_sign(test):
         turns = "both ways" if _ways_rad(test)[0] >= _motion(test) else "backwards"
         cure = "log it with the sign of the direction, or say which column tells it: --direction COLUMN"
@@ -195,6 +201,25 @@ def _columns(test: TimeSeries, span_rad: float, motor: Estimate | None) -> list[
             )
         ]
     return []
+
+
+def _stands_dead(test: TimeSeries) -> tuple[int, int] | None:
+    """The first and last row of the longest time in which no drive, either way, turns the shaft; else None.
+
+    At a stop it turns the other way; under friction it stands elsewhere, too, or under smaller drives.
+    """
+    edges = np.flatnonzero(np.diff(test.y_rad) != 0.0)
+    first, stop = np.append(0, edges + 1), np.append(edges + 1, len(test))
+    k = int(np.argmax(stop - first))
+    rows = slice(int(first[k]), int(stop[k]))
+    u, moving = test.u_V[rows], np.abs(test.u_V[edges])
+    others = int(np.delete(stop - first, k).max(initial=0))
+    if u.size < max(DEAD_ROWS, DEAD_TIMES * others) or not moving.any():
+        return None
+    turns_V = np.median(moving[moving > 0.0])
+    if min(np.mean(u >= turns_V), np.mean(u <= -turns_V)) < DEAD_SHARE:
+        return None
+    return rows.start, rows.stop - 1
 
 
 def _lacks_sign(test: TimeSeries) -> bool:

@@ -31,7 +31,7 @@ from rig.identification.output_error import (
     initial_state,
     rests_once,
 )
-from rig.identification.plausibility import one_way
+from rig.identification.plausibility import DID_IT_TURN, one_way
 from rig.identification.repetition import repeated_share, repetitions, with_repetition
 from rig.identification.sampled_data_verdict import NEGLIGIBLE, confounding, judge
 from rig.identification.side_by_side import side_by_side
@@ -268,11 +268,15 @@ def _problem(tests: Sequence[TimeSeries], delay_s: tuple[float, float] | None) -
     for test, window in zip(tests, windows, strict=True):
         still = "position" if np.ptp(window.y_rad) == 0.0 else "drive" if len(drives_V) < 2 else None
         if still is not None:
-            raise IdentifyError(
-                f"{test.name}: the {still} never changes",
+            cause = f"{test.name}: the {still} never changes"
+            cure = (
                 "record a relay test (`rig relay CONFIG`), or any drive that moves the motor both ways; or give runs "
-                "of other drives with it",
             )
+            cure += "of other drives with it"
+            if still == "position":
+                cause += f", under drives up to {np.abs(test.u_V).max():.3g} V"
+                cure = f"{DID_IT_TURN}; {cure}"
+            raise IdentifyError(cause, cure)
     return OutputErrorProblem(windows, bounds, (True, True, True, not one_way(tests), delay_s is not None))
 
 

@@ -59,7 +59,9 @@ def require_certificate(certificate: Certificate) -> None:
 
 def serve(panel: Panel, listening: Door, certificate: Certificate | None = None) -> None:
     """Serve until Ctrl-C or SIGTERM. Runs that go on are left alone."""
-    logging.getLogger("uvicorn.error").setLevel(logging.ERROR)
+    log = logging.getLogger("uvicorn.error")
+    log.setLevel(logging.ERROR)
+    log.addFilter(lambda record: "CancelledError" not in record.getMessage())  # a second Ctrl-C is no error
     config = uvicorn.Config(
         make_app(panel),
         log_config=None,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -45,6 +46,7 @@ def test_a_scan_shows_every_servo_and_what_would_be_refused(port: str) -> None:
     assert servos[0]["supply_V"] == 5.0
     text = said("servo", "scan", port, "--baud", "1000000")
     assert "id 7: xl330-m077" in text and "refused: SERVO_SETUP" in text
+    assert text.startswith(f"{port}: 1000000 baud")  # before the seconds in which each id is asked
 
 
 def test_a_scan_at_another_baud_finds_nobody(port: str) -> None:
@@ -110,6 +112,19 @@ def test_a_stop_by_another_panel_or_a_signal_reaches_a_horn_that_turns(
     assert registers["torque_enable"] == 0 and registers["operating_mode"] == 3
 
 
+def test_facts_are_written_where_nobody_cuts_the_supply(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seven facts were lost at the last question, and the horn had to turn again."""
+    monkeypatch.setattr("rig.backends.servo.keeper.first_that_ends_with", lambda _: "")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    file = tmp_path / "facts.json"
+    with ServoBoard() as board:
+        board.start([ServoOptions(model="sts3215", id=1)])
+        arguments = ["servo", "facts", board.port, "1", "--out", str(tmp_path), "--to", str(file)]
+        done = CliRunner().invoke(main, arguments, input="y\n", catch_exceptions=False)
+    assert done.exit_code == 0 and "the supply was not cut" in done.output, done.output
+    assert "lock_keeps_mode" not in json.loads(file.read_text())
+
+
 def test_there_is_nothing_to_put_back(port: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     assert "nothing to put back" in said("servo", "restore", port, "1")
@@ -148,6 +163,7 @@ def test_a_first_config_knows_what_the_servo_tells(port: str, tmp_path: Path) ->
     assert e.daq.servo is not None and e.sensor.servo is not None
     assert (e.daq.port, e.daq.servo.model, e.daq.servo.id, e.drive.supply_V) == (port, "xl330-m288", 1, 5.0)
     assert e.emulated is None and e.sensor.servo.zero_counts == 2048
+    assert not re.search("emulated|virtual", file.read_text())
 
 
 @pytest.mark.parametrize(("arguments", "words"), [

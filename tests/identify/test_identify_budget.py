@@ -141,22 +141,26 @@ def test_errors_are_read_from_meta_and_an_older_one_has_the_defaults() -> None:
 
 
 TWO_SIDED = np.zeros(3, dtype=bool)
+FROM_0 = np.zeros(3)  # means of laws beforehand
 
 
 def nuisance(law: Departure, first: int, starts: int = 1) -> Nuisance:
     return Nuisance(law, first, 1, starts)
 
 
-def test_the_odds_of_laws_and_what_they_move_are_those_integrals() -> None:
-    """Two nuisances against a sum over a grid of their sizes."""
+@pytest.mark.parametrize("mean_before", [0.0, 2.0])
+def test_the_odds_of_laws_and_what_they_move_are_those_integrals(mean_before: float) -> None:
+    """Two nuisances against a sum over a grid of their sizes, also where the size of one is known beforehand."""
+    centre = np.array([mean_before, 0.0])
     inside = np.array([[3.0, -2.2], [-2.2, 2.5]])
     pull = np.array([-0.7, 1.1])
     moves = np.array([[0.2, 0.1], [1.0, -0.3], [0.0, 0.5]])
-    odds, mean, variance = Shifts(np.ones(3), moves, inside, pull, TWO_SIDED[:2]).by(np.array([[0, 1]]))
+    odds, mean, variance = Shifts(np.ones(3), moves, inside, pull, centre, TWO_SIDED[:2]).by(np.array([[0, 1]]))
     x = np.linspace(-8.0, 8.0, 801)
     a, b = np.meshgrid(x, x)
     size = np.stack((a.ravel(), b.ravel()))
-    weight = np.exp(-0.5 * np.sum(size * (inside @ size), axis=0) - pull @ size - 0.5 * np.sum(size**2, axis=0))
+    weight = np.exp(-0.5 * np.sum(size * (inside @ size), axis=0) - pull @ size)
+    weight *= np.exp(-0.5 * np.sum((size - centre[:, None]) ** 2, axis=0))
     total = weight.sum()
     assert odds[0] == pytest.approx(total * (x[1] - x[0]) ** 2 / (2.0 * math.pi), rel=1e-6)
     assert mean[0] == pytest.approx((moves @ size) @ weight / total, rel=1e-6)
@@ -167,7 +171,7 @@ def test_the_odds_of_laws_and_what_they_move_are_those_integrals() -> None:
 def test_a_law_that_is_never_below_0_is_weighed_above_it(pull: float) -> None:
     """Against a sum over a grid of its sizes from 0 on, where it is twice as dense beforehand."""
     moves = np.array([[0.2], [-1.0], [0.5]])
-    shifts = Shifts(np.ones(3), moves, np.array([[3.0]]), np.array([pull]), np.array([True]))
+    shifts = Shifts(np.ones(3), moves, np.array([[3.0]]), np.array([pull]), FROM_0, np.array([True]))
     odds, mean, variance = shifts.by(np.array([[0]]))
     size = np.linspace(0.0, 9.0, 200_001)
     weight = 2.0 * np.exp(-0.5 * 3.0 * size**2 - pull * size) * norm.pdf(size)
@@ -182,7 +186,7 @@ def test_a_law_that_is_never_below_0_is_weighed_above_it(pull: float) -> None:
 def test_two_laws_that_are_never_below_0_are_weighed_there(coupling: float, pull: tuple[float, float]) -> None:
     """Against a sum over a grid: what is left of the first counts as normal for the second."""
     inside, moves = np.array([[3.0, coupling], [coupling, 3.0]]), np.array([[0.2, 0.1], [1.0, 0.3], [0.0, 0.5]])
-    shifts = Shifts(np.ones(3), moves, inside, np.array(pull), np.array([True, True]))
+    shifts = Shifts(np.ones(3), moves, inside, np.array(pull), FROM_0, np.array([True, True]))
     odds, mean, variance = shifts.by(np.array([[0, 1]]))
     x = np.linspace(0.0, 6.0, 601) + 0.005
     size = np.stack([axis.ravel() for axis in np.meshgrid(x, x)])
@@ -196,7 +200,9 @@ def test_two_laws_that_are_never_below_0_are_weighed_there(coupling: float, pull
 
 def test_an_improbable_law_that_would_break_the_promise_is_counted_by_its_probability() -> None:
     laws = [nuisance(LAW["drag"], 0)]
-    shifts = Shifts(np.ones(3), np.array([[0.0], [0.1], [0.0]]), np.zeros((1, 1)), np.zeros(1), np.array([True]))
+    shifts = Shifts(
+        np.ones(3), np.array([[0.0], [0.1], [0.0]]), np.zeros((1, 1)), np.zeros(1), FROM_0, np.array([True])
+    )
     probability, named = Hidden.of(shifts, laws).beyond("K_rad_s_V", 0.1)
     assert named == ("drag",)
     assert probability == pytest.approx(PRESENT * 2.0 * norm.sf(1.0), rel=0.2)  # of a half normal distribution
@@ -207,7 +213,7 @@ def test_an_improbable_law_that_would_break_the_promise_is_counted_by_its_probab
 def test_a_law_far_below_0_leaves_numbers_that_are_numbers(pull: float) -> None:
     laws = [nuisance(LAW["drag"], 0), nuisance(LAW["sag"], 1)]
     one_sided = np.array([True, False])
-    shifts = Shifts(np.ones(3), np.full((3, 2), 0.1), 3.0 * np.eye(2), np.array([pull, 0.0]), one_sided)
+    shifts = Shifts(np.ones(3), np.full((3, 2), 0.1), 3.0 * np.eye(2), np.array([pull, 0.0]), FROM_0, one_sided)
     hidden = Hidden.of(shifts, laws)
     assert np.all(hidden.variance >= 0.0)
     for name in OF:
@@ -215,7 +221,9 @@ def test_a_law_far_below_0_leaves_numbers_that_are_numbers(pull: float) -> None:
 
 
 def test_a_law_that_the_record_cannot_see_keeps_its_whole_range_and_its_odds() -> None:
-    shifts = Shifts(np.ones(3), np.array([[0.3], [0.1], [0.0]]), np.zeros((1, 1)), np.zeros(1), np.array([True]))
+    shifts = Shifts(
+        np.ones(3), np.array([[0.3], [0.1], [0.0]]), np.zeros((1, 1)), np.zeros(1), FROM_0, np.array([True])
+    )
     [entry] = Hidden.of(shifts, [nuisance(LAW["drag"], 0)]).lines()
     assert (entry.source, entry.laws) == ("drag", ("drag",))
     assert entry.tau_s == pytest.approx(COVERAGE * math.sqrt(PRESENT) * 0.3)
@@ -225,7 +233,7 @@ def test_three_laws_that_hide_each_other_count_though_each_alone_is_excluded() -
     """Their sum acts as nothing on the record: it says much of each, and nothing of all three."""
     laws = [nuisance(law, k) for k, law in enumerate((LAW["drag"], LAW["sag"], LAW["stribeck"]))]
     away = np.eye(3) - np.ones((3, 3)) / 3.0
-    shifts = Shifts(np.ones(3), np.full((3, 3), 0.1), 1e9 * away, np.zeros(3), TWO_SIDED)
+    shifts = Shifts(np.ones(3), np.full((3, 3), 0.1), 1e9 * away, np.zeros(3), FROM_0, TWO_SIDED)
     entries = {entry.source: entry for entry in Hidden.of(shifts, laws).lines()}
     together = entries.pop("laws that hide each other")
     assert set(together.laws) == {"drag", "sag", "stribeck"}
@@ -233,14 +241,14 @@ def test_three_laws_that_hide_each_other_count_though_each_alone_is_excluded() -
 
 
 def test_a_soft_coupling_is_more_likely_than_other_laws() -> None:
-    shifts = Shifts(np.ones(3), np.full((3, 1), 0.1), np.zeros((1, 1)), np.zeros(1), np.array([True]))
+    shifts = Shifts(np.ones(3), np.full((3, 1), 0.1), np.zeros((1, 1)), np.zeros(1), FROM_0, np.array([True]))
     [entry] = Hidden.of(shifts, [nuisance(SOFT_COUPLING, 0)]).lines()
     odds = 4.0 * PRESENT / (1.0 - PRESENT)
     assert entry.tau_s == pytest.approx(COVERAGE * math.sqrt(odds / (1.0 + odds)) * 0.1)
 
 
 def test_a_law_with_several_starts_has_its_odds_once() -> None:
-    shifts = Shifts(np.ones(3), np.full((3, 3), 0.1), np.zeros((3, 3)), np.zeros(3), np.ones(3, dtype=bool))
+    shifts = Shifts(np.ones(3), np.full((3, 3), 0.1), np.zeros((3, 3)), np.zeros(3), FROM_0, np.ones(3, dtype=bool))
     [entry] = Hidden.of(shifts, [nuisance(LAW["stribeck"], k, 3) for k in range(3)]).lines()
     assert entry.tau_s == pytest.approx(COVERAGE * math.sqrt(PRESENT) * 0.1)
 
@@ -249,7 +257,7 @@ def test_a_law_that_is_known_size_by_size_has_the_odds_of_each() -> None:
     """Two sizes that the record tells apart: by hand."""
     moves = np.array([[0.01, 0.2, 0.03], [0.02, 0.4, 0.06]])
     known = Profile(LAW["dead_band"], np.array([0.5, 0.25 * math.exp(-1.0)]), moves, np.zeros((2, 3)))
-    none = Shifts(np.ones(3), np.zeros((3, 1)), np.zeros((1, 1)), np.zeros(1), np.ones(1, dtype=bool))
+    none = Shifts(np.ones(3), np.zeros((3, 1)), np.zeros((1, 1)), np.zeros(1), FROM_0, np.ones(1, dtype=bool))
     hidden = Hidden.of(none, [nuisance(LAW["dead_band"], 0)], [known])
     odds = PRESENT / (1.0 - PRESENT) * np.array([0.5, 0.25 * math.exp(-1.0)])
     chances = odds / (1.0 + odds.sum())

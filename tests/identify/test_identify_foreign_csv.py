@@ -43,6 +43,7 @@ from rig.run_folder.recording.errors import IdentifyError, RecordingError
 from rig.run_folder.recording.log_format import LogColumn, LogFormat
 from rig.run_folder.recording.reader import read
 from rig.run_folder.recording.sample_columns import COLUMNS
+from rig.run_folder.recording.series import TimeSeries
 
 pytestmark = pytest.mark.long
 
@@ -259,6 +260,15 @@ def test_columns_that_no_motor_fits_are_refused_before_one_is_sought(
     assert any(one.verdict == "refused" and one.spoils and words in one.reason for one in judge_records([series]))
 
 
+def test_a_sensor_that_flickers_while_the_motor_stands_is_no_swapped_column() -> None:
+    t_s = np.linspace(0.0, 4.0, 401)
+    flicker = TimeSeries(
+        t_s, np.where(np.arange(401) // 3 % 2, 0.004, 0.0), None, 3.0 * np.sin(t_s), name="a", units_stated=True
+    )
+    (said,) = judge_records([flicker])
+    assert said.verdict == "refused" and "did the shaft turn?" in said.reason and "swapped" not in said.reason
+
+
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
@@ -267,6 +277,7 @@ def test_columns_that_no_motor_fits_are_refused_before_one_is_sought(
         (lambda c: {"y_rad": np.full_like(c["y_rad"], 0.3)}, "the position never changes"),
         (lambda c: {"u_V": np.full_like(c["u_V"], 0.3)}, "the drive never changes"),
         (lambda c: {"y_rad": np.clip(c["y_rad"], -1.0, np.quantile(c["y_rad"], 0.9))}, "stays at exactly"),
+        (lambda c: {"y_rad": c["y_rad"][np.minimum(np.arange(c["y_rad"].size), 400)]}, "stands still from row 400 to"),
         (lambda c: {"y_rad": np.round(c["y_rad"], 1)}, ""),
         (lambda c: {"y_rad": c["y_rad"] + (np.arange(c["y_rad"].size) == 700) * 0.2}, "from the rows around it"),
         (lambda c: {"t_u_s": c["t_u_s"] * 1e3}, "one clock"),

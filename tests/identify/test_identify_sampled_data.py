@@ -194,7 +194,7 @@ def test_an_asymmetry_that_one_way_does_not_show_has_no_interval() -> None:
     ("change", "words"),
     [
         (lambda r: TimeSeries(r.t_s, r.y_rad, None, np.zeros_like(r.u_V)), "the drive never changes"),
-        (lambda r: TimeSeries(r.t_s, np.zeros_like(r.y_rad), None, r.u_V), "the position never changes"),
+        (lambda r: TimeSeries(r.t_s, np.zeros_like(r.y_rad), None, r.u_V), "never changes, under drives up to 1.8 V"),
         (lambda r: r.part(0, 12), "too few"),
     ],
 )

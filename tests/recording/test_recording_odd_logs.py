@@ -104,6 +104,10 @@ ODD = {  # for each: the log, what the error says, what to type by it
         "did you mean", "--time Zeit:s --drive V --position deg",
     ),
     "a speed in turns": (log("t_s,u_V,speed_rev_s"), "of velocity rad/s", "--velocity speed_rev_s:UNIT"),
+    "a drive called speed": (
+        log("millis,speed,angle_deg", row="{k}0,{u},{y:.4f}"), "of drive V",
+        "--time ms --drive speed:UNIT --position deg",
+    ),
     "a speed": (log("t [s],u [V],omega [rad/s]"), "no column", "--time s --drive V --velocity rad/s"),
 }  # fmt: skip
 
@@ -126,6 +130,7 @@ def test_an_odd_log_is_refused_with_options_that_read_it(tmp_path: Path, name: s
 @pytest.mark.parametrize(
     ("text", "options", "cause"),
     [
+        (log("millis,speed,angle", row="{k}0,{u},{y:.4f}"), "--time ms --position deg", "--drive speed:UNIT"),
         (log("t_s,current_A,y_rad"), "", "a current is a torque"),
         (log("t_s,motor current,y_rad"), "--drive V", "a current is a torque"),
         (log("t_s,current_A,y_rad"), "--drive current_A:V", "a current is a torque"),

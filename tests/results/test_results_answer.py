@@ -237,12 +237,12 @@ def test_each_number_has_its_grade_and_the_answer_says_where_it_holds_and_what_i
 
 
 def test_where_it_holds_at_one_drive_alone_is_said_so() -> None:
-    holds = HoldsResult(drive_V=(5.648, 5.652), speed_rad_s=(10.0, 120.0), travel_rad=(0.0, 900.0), ways="forward")
+    holds = HoldsResult(drive_V=(5.648, 5.652), speed_rad_s=(10.0, 1544.0), travel_rad=(0.0, 900.0), ways="forward")
     (line,) = validity(Answer(method="sampled-data", holds=holds))
-    assert line == "holds at 5.65 V, between 10 and 120 rad/s, one way"
+    assert line == "holds at 5.65 V, between 10 and 1540 rad/s, one way"
     chirp = holds.model_copy(update={"drive_V": (1e-15, 5.65)})  # goes through zero, and through what friction takes
     (line,) = validity(Answer(method="sampled-data", fc_V=0.5, holds=chirp))
-    assert line == "holds up to 5.65 V, between 10 and 120 rad/s, one way"
+    assert line == "holds up to 5.65 V, between 10 and 1540 rad/s, one way"
 
 
 def test_at_which_drive_tau_and_K_hold_is_said_where_the_bridge_lets_the_motor_run_free() -> None:

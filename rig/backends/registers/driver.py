@@ -239,7 +239,7 @@ class RegisterDriver(ABC, Generic[Req]):
         values = self._values(self._read_span, reply)
         if self._armed:
             self._check_armed(values)
-            self._end_exchange()
+            self._end_exchange(reply.executed_s)
         elif self._max_units > 0:  # armed before: a fault in a pause must not go unseen
             self._check_pause(values)
         try:
@@ -568,13 +568,15 @@ class RegisterDriver(ABC, Generic[Req]):
             self._explain(ends)
             raise ends
 
-    def _end_exchange(self) -> None:
+    def _end_exchange(self, armed_s: float = -math.inf) -> None:
         """The device has not said that its watchdog has acted: it waits anew. Raises Fault LINK_TIMEOUT.
 
-        One whose status tells has heard this before that could act, though its answer was taken much later.
+        One whose status tells has heard this before that could act, though its answer was taken much later; unless it
+        was armed at ``armed_s``, which is later: then its watchdog does not do what it must.
         """
-        latest_s = math.inf if self._map.status is None else self._heard_s + self._acts_s
-        self._heard_s = min(self._replied_s, latest_s)
+        acts_s = self._heard_s + self._acts_s
+        is_sure = self._map.status is None or armed_s >= acts_s
+        self._heard_s = self._replied_s if is_sure else min(self._replied_s, acts_s)
         self._check_late("LINK_TIMEOUT")
 
     def _explain(self, fault: Fault) -> None:

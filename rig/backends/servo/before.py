@@ -42,10 +42,18 @@ _RESET_BY_MODE: Final = (
 _TRIED_ON_FEETECH: Final = ("position_p_gain", "protective_torque", "protection_time", "overload_torque")
 # In the order in which they are put back, as ``back_of`` says
 _CHANGED: Final = {
-    "dynamixel": ("pwm_slope", "return_delay_time", "operating_mode", *_RESET_BY_MODE, "pwm_limit", "goal_pwm"),
+    "dynamixel": (
+        "pwm_slope",
+        "return_delay_time",
+        "operating_mode",
+        *_RESET_BY_MODE,
+        "bus_watchdog",
+        "pwm_limit",
+        "goal_pwm",
+    ),
     "feetech": ("return_delay_time", *_TRIED_ON_FEETECH, "mode", "goal_duty", "lock", "torque_limit"),
 }
-
+_LIMITS: Final = {"goal_pwm": "pwm_limit", "goal_current": "current_limit", "goal_velocity": "velocity_limit"}
 
 Sets = Mapping[str, Sequence[int]]  # what rig may set a register to
 _NOTHING: Final[Sets] = MappingProxyType({})
@@ -191,13 +199,23 @@ def values_of(link: ServoLink) -> dict[str, int]:
     model = link.model
     names = [name for name in _CHANGED[model.protocol] if model.has(name)]
     values = {name: link.sure(name) for name in names}
-    kept, drive = dict(values), model.roles["drive"]
+    kept, drive = _within_limits(link, values), model.roles["drive"]
+    if kept.get("bus_watchdog", 1) <= 0:
+        del kept["bus_watchdog"]  # off, or it has acted: the end leaves it off
     if values[model.roles["mode"]] == model.pwm_mode:
         kept[drive] = 0  # there it is the duty: whoever switches the torque on next must not find rig's
     elif "lock" in model.roles:
         del kept[drive]  # in another mode its write may switch the torque on
-    else:
-        kept[drive] = min(kept[drive], kept[model.roles["max_drive"]])  # of before the limit was lowered: refused now
+    return kept
+
+
+def _within_limits(link: ServoLink, values: Mapping[str, int]) -> dict[str, int]:
+    """The same without what the servo refuses by now: goals of before their limit was lowered."""
+    kept = dict(values)
+    for goal, limit in _LIMITS.items():
+        if goal in values and link.model.has(limit):
+            most = values[limit] if limit in values else link.sure(limit)
+            kept[goal] = max(-most, min(values[goal], most))
     return kept
 
 
@@ -249,6 +267,7 @@ def put_back(link: ServoLink, store: BeforeStore, *, is_left: bool = False) -> d
     if is_left and not (values := _as_left(link, values, sets, store)):
         store.set_aside()
         return {}
+    values = _within_limits(link, values)
     link.put(roles["torque"], 0)
     if "watchdog" in roles:
         link.put(roles["watchdog"], 0)  # while it has acted no goal can be written
@@ -262,7 +281,7 @@ def put_back(link: ServoLink, store: BeforeStore, *, is_left: bool = False) -> d
         for name, value in part + part:  # a wrong answer may have said that one holds its value already
             link.hold(name, value)
     link.put(roles["torque"], 0)
-    if is_left and values.keys() == {roles["drive"]}:
+    if is_left and values.keys() <= {roles["drive"], "bus_watchdog"}:
         store.set_aside()
     else:
         store.clear()
@@ -283,7 +302,12 @@ def _as_left(link: ServoLink, values: Mapping[str, int], sets: Sets, store: Befo
     """
     model, drive = link.model, link.model.roles["drive"]
     held = {name: link.sure(name) for name in values}
+    mode, limit = model.roles["mode"], model.roles["max_drive"]
     ours = {name: (before, *sets.get(name, ())) for name, before in values.items()}
+    names = list(values)
+    is_last = {mode, limit} <= sets.keys() and names.index(mode) < names.index(limit)  # an older rig's file: first
+    if is_last and held[mode] != values[mode] and held[mode] in sets[mode] and model.is_eeprom(model[limit]):
+        ours[limit] = tuple(sets[limit])  # rig lowers the limit ahead of the mode, and puts it back behind that
     for name, known in ours.items():
         if held[name] not in known and model.is_eeprom(model[name]):
             words = " or ".join(str(value) for value in dict.fromkeys(known))
@@ -291,16 +315,17 @@ def _as_left(link: ServoLink, values: Mapping[str, int], sets: Sets, store: Befo
                 "SERVO_CHANGED",
                 f"{model[name]} reads {held[name]}, but a run that has not put it back left {words}: this is another "
                 f"servo, or somebody has changed it{' or cut its supply' if 'lock' in model.roles else ''} since. "
-                f"Nothing was written. {store.path} is of that run: delete it, if this servo is as you want it; with "
-                f"{held[name]} for {values[name]} there the rest is put back",
+                f"Nothing was written. {store.path} is of that run: delete it, if this servo is as you want it"
+                + (f"; with {held[name]} for {values[name]} there the rest is put back" * (held[name] != values[name])),
             )
-    if not any(held[name] != values[name] and held[name] in ours[name] for name in sets):
-        if held.get(drive) == 0 != values.get(drive, 0):  # a keeper has stopped it, and nothing else was changed
-            return {drive: values[drive]}
-        return {drive: 0} if values.get(drive) == 0 else {}  # of a servo of PWM mode rig's duty shows nowhere else
-    mode = model.roles["mode"]
+    # of a rig that put the mode back last, and named that alone from there on: all that it resets is still to be done
+    is_end = sets.keys() == {mode}
+    if not is_end and not any(held[name] != values[name] and held[name] in ours[name] for name in sets):
+        # a keeper has stopped it, and nothing else was changed; of a servo of PWM mode rig's duty shows nowhere else
+        is_ours = drive in values and 0 in (held[drive], values[drive])
+        return {name: values[name] for name in (drive, "bus_watchdog") if is_ours and name in values}
     # who has changed the mode back, and was not rig, has set these anew: what they hold is that one's
-    is_back = mode in sets and held[mode] == values[mode] not in sets[mode]
+    is_back = mode in sets and not is_end and held[mode] == values[mode] not in sets[mode]
     theirs = _RESET_BY_MODE if is_back else ()
     return {
         name: value

@@ -103,10 +103,21 @@ def text(answers: ServoAnswers) -> str:
     }
     if answers.port is not None:
         values["daq", "port"] = answers.port
-        written = written[: written.index("\nemulated:")] + "\n"
+        written = _of_a_real_one(written)
         if answers.adapter is not None:
             values["daq", "servo", "adapter"] = answers.adapter
     return with_values(written, values)
+
+
+def _of_a_real_one(written: str) -> str:
+    """The config without what its comments say of an emulated servo."""
+    written = written[: written.index("\nemulated:")] + "\n"
+    for said in (
+        ", on an emulated bus, in virtual time",
+        *re.findall(r"The emulated motor is [^.]*\. |  +# in virtual.*", written),
+    ):
+        written = written.replace(said, "")
+    return written
 
 
 def _at(data: Any, path: Path) -> float:

@@ -220,8 +220,9 @@ def _restoring(link: ServoLink, values: Mapping[str, int], sets: Sets) -> tuple[
     """
     roles, back = link.model.roles, back_of(link.model, values, sets, is_blind=True)
     off, watchdog = (roles["torque"], 0), [(roles[role], 0) for role in ("watchdog",) if role in roles]
-    begins = [off, *([off] if "lock" in roles else watchdog), *back.early]  # ``_zero`` comes in between
-    steps = [*_writes(link, [*begins, *back.middle, off]), *_looks(link, [*watchdog, *back.early, *back.middle])]
+    early = [(name, value) for name, value in back.early if name in sets]  # EEPROM, which no mode resets
+    begins = [off, *([off] if "lock" in roles else watchdog), *early]  # ``_zero`` comes in between
+    steps = [*_writes(link, [*begins, *back.middle, off]), *_looks(link, [*watchdog, *early, *back.middle])]
     steps += [*_writes(link, back.last), *_looks(link, back.last), *_writes(link, [off])]
     if back.told is None:
         return steps, (-1, "")

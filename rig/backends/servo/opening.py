@@ -221,12 +221,12 @@ def set_up(
     store.save(model, setup.id, before, told)
     watched()
     link.put(torque, 0)
-    if "watchdog" in model.roles:
-        link.put(model.roles["watchdog"], 0)  # one that has acted takes no goal
     if link.value(delay.name) * delay.scale > setup.longest_delay_s:  # of EEPROM, as limit, mode and slope are
         link.hold(delay.name, 0)
     link.hold(limit, setup.max_units)  # first: changing the mode sets the goal to it
     link.hold(mode, model.pwm_mode)
+    if "watchdog" in model.roles:
+        link.put(model.roles["watchdog"], 0)  # one that has acted takes no goal
     set_to_0(link)
     link.put(torque, 0)
     slope_V_s = _set_slope(link, setup)

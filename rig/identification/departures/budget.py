@@ -131,6 +131,7 @@ class Shifts:
     moves      (3, n) of tau, K and friction by each
     inside     (n, n) what the record says of them when the fit's own numbers are free
     pull       (n,) and its gradient
+    centre     (n,) mean of each before the record is looked at
     one_sided  (n,) whether it is never below 0
     """
 
@@ -138,6 +139,7 @@ class Shifts:
     moves: Array
     inside: Array
     pull: Array
+    centre: Array
     one_sided: NDArray[np.bool_]
 
     @classmethod
@@ -152,7 +154,9 @@ class Shifts:
             -(inverse @ border.T)[nuisances.at] * nuisances.size[:, None] * spread,
             inside / np.outer(fewer, fewer),
             (gradient[core:] - border @ inverse @ gradient[:core]) * spread / nuisances.as_one,
-            np.array([one.law.one_sided for one in nuisances.each for _ in one.columns], dtype=bool),
+            nuisances.mean,
+            (nuisances.mean == 0.0)
+            & np.array([one.law.one_sided for one in nuisances.each for _ in one.columns], dtype=bool),
         )
 
     def by(self, at: NDArray[np.int64]) -> tuple[Array, Array, Array]:
@@ -162,8 +166,10 @@ class Shifts:
         """
         precision = np.eye(at.shape[1]) + self.inside[at[:, :, None], at[:, None, :]]
         covariance = np.asarray(np.linalg.inv(precision), dtype=np.float64)
-        mean = -np.einsum("mij,mj->mi", covariance, self.pull[at])
-        gain = np.minimum(-np.einsum("mi,mi->m", self.pull[at], mean), LARGEST_GAIN)
+        pull, centre = self.centre[at] - self.pull[at], self.centre[at]
+        mean = np.einsum("mij,mj->mi", covariance, pull)
+        gain = np.einsum("mi,mi->m", pull, mean) - np.einsum("mi,mi->m", centre, centre)
+        gain = np.minimum(gain, LARGEST_GAIN)
         odds = np.exp(0.5 * (gain - np.linalg.slogdet(precision)[1]))
         order = np.argsort(mean / np.sqrt(np.einsum("mii->mi", covariance)), axis=1)  # the farthest below 0 first
         for k in order.T:

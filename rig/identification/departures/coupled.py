@@ -24,9 +24,9 @@ from rig.identification.departures.outside import by_coupling
 from rig.identification.departures.pieces import Coupling, Cut
 from rig.identification.lowest import lowest
 
-LEAVES = 3.0  # residual over the sensor's noise from which on a coupling is looked for
+LEAVES = 1.1  # residual over the sensor's noise from which on a coupling is looked for
 ITERATIONS, FINER = 6, 8
-PROMISING = 0.5  # of what a coupling must take from the squares: what it promises to first order, at least
+PROMISING = 0.5  # of what it must take from the squares beyond noise: what a coupling promises to first order, at least
 DAMPED = (0.03, 0.6)  # damping ratios that are looked through
 NEAR = 0.01  # of a bound, for a search in so many steps
 ROWS_OF_SWING = 2.5  # at least so many rows show a swing
@@ -49,11 +49,13 @@ def coupling_of(choice: Choice, whole: Cut, chooser: Chooser) -> Coupling | None
     tried = [Coupling(rad_s, damping) for rad_s in steps for damping in DAMPINGS]
     stiff = solve(begin(problem, fit.motor), ITERATIONS)
     columns = Columns(stiff)
-    gains = [columns.gain(columns.of_change(by_coupling(stiff, one)))[0] for one in tried]
-    needed = (1.0 - chooser.asked.cuts) ** 2 * stiff.cost
-    if not max(gains, default=0.0) > PROMISING * (stiff.cost - needed):  # false for nan
+    gains = {one: columns.gain(columns.of_change(by_coupling(stiff, one)))[0] for one in tried}
+    noise = min(float(blocks.cut.freedom), stiff.cost)
+    needed = noise + (1.0 - chooser.asked.cuts) ** 2 * (stiff.cost - noise)
+    promising = [one for one, gain in gains.items() if gain > PROMISING * (stiff.cost - needed)]  # false for nan
+    if not promising:
         return None
-    best = min(tried, key=cost)
+    best = min(promising, key=cost)
     at = steps.index(best.rad_s)
     low, high = math.log(steps[max(at - 1, 0)]), math.log(steps[min(at + 1, len(steps) - 1)])
     fine, left = lowest(lambda x: cost(best._replace(rad_s=math.exp(x))), low, high, FINER)

@@ -49,6 +49,7 @@ class Nuisances:
     each       the starts of the laws that it has not
     matrix, gradient   normal equations in units of the noise: of the fit's own numbers, then of the nuisances
     spread     standard deviation of each nuisance before the record is looked at
+    mean       its mean then, in these
     as_one     how many rows say as much as one of each nuisance, >= 1, beyond what they do of all: where noise is not
                white, by how much more than noise its evidence differs between pieces
     """
@@ -58,6 +59,7 @@ class Nuisances:
     matrix: Array
     gradient: Array
     spread: Array
+    mean: Array
     as_one: Array
 
     @classmethod
@@ -67,13 +69,13 @@ class Nuisances:
         laws: Sequence[Departure],
         candidates: Sequence[Departure],
         bench: Bench,
-        outside: Sequence[tuple[Departure, Array, int]] = (),
+        outside: Sequence[tuple[Departure, Array, int, tuple[float, float] | None]] = (),
         longest_s: float = math.inf,
     ) -> Nuisances:
         """Of all ``candidates`` that are not among the ``laws`` of the fit.
 
         outside   laws that the motor's model has not, each start with the change of the readings, (n, k), for 1 of its
-                  sizes, and how many starts the law has
+                  sizes, how many starts the law has, and what is known of its size, and how well
         longest_s   of a piece between which evidence may differ, s: longer ones of the fit are cut
         """
         fit = fit.with_own_noise
@@ -92,10 +94,13 @@ class Nuisances:
                 each.append(Nuisance(law, len(spreads), column.shape[1], len(trials)))
                 added.append(column)
                 spreads += [(law.range_of(bench) if scale else 1.0) / UNIFORM] * column.shape[1]
-        for law, change, starts in outside:
+        means = [0.0] * len(spreads)
+        for law, change, starts, known in outside:
             each.append(Nuisance(law, len(spreads), change.shape[1], starts))
             added.append(columns.of_change(change))
-            spreads += [law.range_of(bench) / UNIFORM] * change.shape[1]
+            size, error = known or (0.0, law.range_of(bench) / UNIFORM)
+            spreads += [error] * change.shape[1]
+            means += [size / error] * change.shape[1]
         normal = columns.normal(np.column_stack(added)) if added else columns.base
         variance = unit(fit)
         as_one = np.ones(len(spreads))
@@ -105,7 +110,8 @@ class Nuisances:
             apart = pulls_apart(rows, np.column_stack(added), cut.begins, ends, variance)
             for one in each:  # whichever way a wave is turned
                 as_one[one.columns] = max(float(np.mean(apart[one.columns])), 1.0)
-        return cls(fit, tuple(each), normal.matrix / variance, normal.gradient / variance, np.array(spreads), as_one)
+        spread, mean = np.array(spreads), np.array(means)
+        return cls(fit, tuple(each), normal.matrix / variance, normal.gradient / variance, spread, mean, as_one)
 
     def tempered(self, effect: float) -> Nuisances:
         """The same where only one of ``effect`` (>= 1) rows says something: pieces differ by more than noise.

@@ -12,7 +12,7 @@ drive tell the two apart, if they lie apart and the noise lets them.
 
 Behind a soft coupling the load swings: the reading is behind the shaft of a stiff bench by a swing that its
 acceleration drives, d'' + 2 z w d' + w^2 d = a, whatever share of the mass is the load. A fit takes that for a shorter
-tau and a longer delay. So each of some frequencies w is a start of that law.
+tau and a longer delay. So each of some frequencies w is a start of that law, each with two dampings; its size follows.
 
 Friction that changes along the way with any period is a voltage against the motion. What it does to the readings is, to
 first order, what that voltage does to a motor that turns: no stick, and no jump at a reversal. Where a fit leaves white
@@ -54,6 +54,7 @@ from rig.run_folder.recording.series import Steps
 SIZES = (0.5, 1.0, 1.5)  # of the sag that was found
 INSTEAD_OF = ("sag", "source")  # a resistance behind a bridge that does not chop is neither
 AT_REST = 0.02  # of the largest speed
+BESIDE = 0.25  # of the size of a coupling, between two that are looked at
 FIRST = 1.0 / 3.0  # of the range: the size of a sag by the current whose effect stands for all
 
 
@@ -62,11 +63,13 @@ class Outside(NamedTuple):
 
     change   (n, k) of the fit's readings, rad, for 1 of each of its sizes
     starts   how many of them the law has
+    known    what its size is, and its standard deviation, where it follows from the start; None: it does not
     """
 
     law: Departure
     change: Array
     starts: int = 1
+    known: tuple[float, float] | None = None
 
 
 def outside(fit: Fit, laws: Sequence[Departure], bench: Bench) -> list[Outside]:
@@ -79,10 +82,12 @@ def outside(fit: Fit, laws: Sequence[Departure], bench: Bench) -> list[Outside]:
         found = [
             Outside(
                 SOFT_COUPLING,
-                by_coupling(fit, Coupling(rad_s, DAMPINGS[0])) / SOFT_COUPLING.range_of(bench),
-                len(FREQUENCIES_RAD_S),
+                by_coupling(fit, Coupling(rad_s, damping)) * rad_s**2,
+                len(FREQUENCIES_RAD_S) * len(DAMPINGS),
+                (rad_s**-2, BESIDE * rad_s**-2),
             )
             for rad_s in FREQUENCIES_RAD_S
+            for damping in DAMPINGS
         ]
     if any(law.name in INSTEAD_OF for law in laws):
         found.append(Outside(BEND, _by_bend(fit, bench)))
@@ -96,25 +101,29 @@ def outside(fit: Fit, laws: Sequence[Departure], bench: Bench) -> list[Outside]:
     return found
 
 
-def instead_of_sag(fit: Fit, law: Departure, laws: Sequence[Departure], chooser: Chooser, bare: Fit) -> list[InPlace]:
+def instead_of_sag(fit: Fit, law: Departure, laws: Sequence[Departure], chooser: Chooser) -> list[InPlace]:
     """The best sag by the current in the place of the fit's sag, or of its supply's resistance.
 
     fit    with its noise
     law    that of ``laws``, one of ``INSTEAD_OF``
-    bare   the same without that law
     """
     like_per_V = fit.motor.sag_per_V if law.name == "sag" else fit.motor.source_per_V2 * chooser.bench.largest_V
     others = [one for one in laws if one is not law]
-    found = []
-    for share in SIZES:
-        size = share * like_per_V
-        trial = bare
+
+    def of_size(share: float) -> InPlace:
+        trial = fit  # with the law it is nearer than without it
         for _ in range(2):  # the current is that of the motor as it is fitted
-            cut = by_current(fit, trial.motor.K_rad_s_V, size)
+            cut = by_current(fit, trial.motor.K_rad_s_V, share * like_per_V)
             problem = replace(chooser.problem(cut, others, fit.problem.robust_rad), noise=fit.problem.noise)
             trial = solve(refitted(trial, problem, without(trial.motor, law)), TRIAL_ITERATIONS)
         moves = np.array([getattr(trial.motor, name) - getattr(fit.motor, name) for name in OF])
-        found.append(InPlace(law, SAG_BY_CURRENT, gained(fit, trial), moves))
+        return InPlace(law, SAG_BY_CURRENT, gained(fit, trial), moves)
+
+    found = [of_size(share) for share in SIZES]
+    low, here, high = (one.rise for one in found)
+    if low + high > 2.0 * here:  # a parabola through the three says where the best one is
+        step = 0.5 * (low - high) / (low + high - 2.0 * here)
+        found.append(of_size(SIZES[1] + (SIZES[1] - SIZES[0]) * min(max(step, -1.5), 1.5)))
     return [min(found, key=lambda one: one.rise)]
 
 

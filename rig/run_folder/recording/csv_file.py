@@ -158,11 +158,18 @@ def _lacking(text: CsvText, names: Sequence[str], missing: Sequence[str]) -> Rec
     first_row = text.fields(text.rows[0]) if text.rows else []
     dates = "t_s" in guesses and any(map(is_date, first_row[names.index(guesses["t_s"]) :][:1]))
     options = {name: _option(own[name], guess, names, text.units) for name, guess in guesses.items()}
+    free = [name for name in names if name not in (*COLUMNS, *guesses.values(), *currents)]
     if "y_rad" in missing and "y_rad" not in guesses:
-        free = [name for name in names if name not in guesses.values() and not sounds_like(name, "goal")]
-        speeds = [name for name in free if sounds_like(name, "velocity")]
-        speeds += [name for name in free if (USUAL_NAMES["velocity"] - {"v"}).intersection(words_of(name))]
+        others = [name for name in free if not sounds_like(name, "goal")]
+        speeds = [name for name in others if sounds_like(name, "velocity")]
+        speeds += [name for name in others if (USUAL_NAMES["velocity"] - {"v"}).intersection(words_of(name))]
+        speeds.sort(key=lambda name: not units_said(name, "velocity"))  # a PWM may be called speed, but no rpm
         options |= {"y_rad": _option("velocity", speeds[0], names, text.units)} if speeds else {}
+        free = [name for name in free if name not in speeds[:1]]
+    if options and free:  # what nothing tells is asked for, too
+        left = free[0] if len(free) == 1 and len(names) == len(REQUIRED) else "COLUMN"
+        options = {name: f"--{own[name]} {quote(f'{left}:UNIT')}" for name in missing if name != "t_s"} | options
+        options = {name: options[name] for name in missing if name in options}
     if dates:  # a date is read as seconds
         options["t_s"] = f"--time {quote(guesses['t_s'] + ':s')}"
     hints = [f"{shown(guess)} for {name}" for name, guess in guesses.items()]

@@ -30,6 +30,7 @@ from rig.run_folder.recording.log_format import (
     LogColumn,
     LogFormat,
     says_current,
+    sounds_like,
     units_of_column,
     units_said,
     usual_places,
@@ -568,7 +569,9 @@ def _say_which(quantity: str, names: Sequence[str]) -> str:
     """What to type to name a column."""
     known = USUAL_NAMES.get(quantity, ())
     usual = [name for name in names if any(len(word) > 1 and word in known for word in words_of(name))]
-    name = next((name for name in (*usual, *names) if name), "1")
+    rivals = {"time", "drive", "position"} - {quantity}  # no velocity: many a sketch calls its PWM speed
+    free = [name for name in names if not any(sounds_like(name, rival) for rival in rivals)]
+    name = next((name for name in (*usual, *free, *names) if name), "1")
     if quantity not in UNITS:  # a direction, or a run
         return f"say which, for example --{quantity} {quote(name)}"
     named, units = quote(f"{name}:UNIT"), ", ".join(UNITS[quantity])

@@ -157,6 +157,7 @@ class LogColumn:
         """From ``UNIT`` or ``COLUMN:UNIT``. Raises LogFormatError."""
         column, colon, unit = text.rpartition(":")
         units = ", ".join(UNITS[quantity])
+        unit = {one.lower(): one for one in UNITS[quantity]}.get(unit.lower(), unit)
         if unit not in UNITS[quantity]:
             if quantity == "drive" and (unit in _CURRENTS or (not colon and says_current(unit))):
                 raise LogFormatError(f"--drive {text}: {CURRENT_CAUSE}", CURRENT_CURE)

@@ -119,7 +119,8 @@ def validity(answer: Answer) -> Iterator[str]:
     if holds is not None and holds.drive_V is not None and holds.speed_rad_s is not None:
         ways = "both ways" if holds.ways == "both" else "one way"
         drive, speed = (
-            list(dict.fromkeys(f"{known(end):.3g}" for end in ends)) for ends in (holds.drive_V, holds.speed_rad_s)
+            list(dict.fromkeys(f"{float(f'{known(end):.3g}'):g}" for end in ends))
+            for ends in (holds.drive_V, holds.speed_rad_s)
         )
         near, fast = ("at" if len(ends) == 1 else "between" for ends in (drive, speed))
         if known(holds.drive_V[0]) < known(answer.value("fc_V")):  # a drive that goes through zero, as a chirp does

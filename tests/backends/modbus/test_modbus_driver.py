@@ -564,6 +564,26 @@ def test_a_host_that_stood_still_behind_its_request_until_the_watchdog_has_acted
     assert rig.fault_while_driving(4).code == "DEVICE_WATCHDOG"
 
 
+def test_where_the_watchdog_should_have_acted_and_the_next_reading_is_armed_the_run_ends(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Such a device drives on, and did so for three ticks more, of which none was late."""
+    monkeypatch.setattr(type(rig.block.block), "watchdog_s", None)
+    rig.tick(0.6)
+    write, stands_s, stood_s = rig.block.write, iter([0.0, 1.0]), 0.0
+
+    def stands_still(data: bytes) -> None:
+        nonlocal stood_s
+        write(data)
+        if (left_s := next(stands_s, 0.0)) > 0.0:
+            rig.block.sleep_until(stood_s := rig.block.now_s() + left_s)
+
+    monkeypatch.setattr(rig.block, "write", stands_still)
+    fault = rig.fault_while_driving(9)
+    assert fault.code == "LINK_TIMEOUT" and "all that `rig check` counts" in fault.detail
+    assert 0.0 <= rig.block.now_s() - stood_s < rig.experiment.period_s
+
+
 @pytest.mark.parametrize("at", [3, 5], ids=["address", "how many"])
 def test_a_write_that_is_confirmed_otherwise_is_a_fault(at: int) -> None:
     """Asked separately the drive goes out by FC16, whose reply repeats where and how many registers."""

@@ -105,12 +105,92 @@ def test_only_what_differs_is_written_and_put_back(
     assert bench.servo.eeprom_writes == dict.fromkeys(writes, 2)
 
 
-def test_a_goal_beyond_a_limit_that_was_lowered_since_is_put_back_to_that() -> None:
+@pytest.mark.parametrize("is_killed", [False, True])
+@pytest.mark.parametrize(("goal", "value", "limit"), [
+    ("goal_pwm", 600, "pwm_limit"), ("goal_pwm", -600, "pwm_limit"),
+    ("goal_current", 600, "current_limit"), ("goal_velocity", -400, "velocity_limit"),
+])  # fmt: skip
+def test_a_goal_beyond_a_limit_that_was_lowered_since_is_put_back_to_that(
+    goal: str, value: int, limit: str, is_killed: bool, tmp_path: Path
+) -> None:
     """It is refused by now: nothing would ever be put back."""
     bench = Bench()
-    bench.servo.put("pwm_limit", 600)
-    run(bench)
-    assert bench.servo.of("drive") == 600 == bench.servo.of("max_drive") and bench.store.load(bench.setup.model) is None
+    bench.servo.put(goal, value)
+    if not is_killed or limit == "pwm_limit":  # else somebody lowers it after the run
+        bench.servo.put(limit, 300)
+    before = owned(bench)
+    if is_killed:
+        store = left_by_a_killed_run(bench, tmp_path)
+        bench.servo.put(limit, 300 if limit != "pwm_limit" else bench.servo.of("max_drive"))
+        restore(bench.another()._link, store)
+    else:
+        run(bench)
+    assert bench.servo.value(goal) == (300 if value > 0 else -300) and not bench.store.is_kept
+    assert owned(bench) == before | {limit: 300} | ({goal: bench.servo.value(goal)} if goal in before else {})
+
+
+@pytest.mark.parametrize("step", [*range(9), 60])
+@pytest.mark.parametrize("mode", [3, 16])
+def test_the_watchdog_that_somebody_has_set_is_set_behind_a_run_and_one_that_was_killed(
+    mode: int, step: int, tmp_path: Path
+) -> None:
+    """Who has set it once relies on it."""
+    bench = Bench(store=BeforeStore(tmp_path / "servo.json"))
+    bench.servo.put("bus_watchdog", 50)
+    bench.servo.put("operating_mode", mode)
+    if mode == 16:  # and its limit is the run's: nothing of a run shows
+        bench.servo._set("max_drive", bench.setup.max_units)
+        bench.servo._set("drive", 0)
+    before, put, left = owned(bench), bench.driver._link.put, step
+
+    def killed(name: str, value: int) -> None:
+        nonlocal left
+        left -= 1
+        if left < 0:
+            raise Killed
+        put(name, value)
+
+    bench.driver._link.put = killed  # type: ignore[method-assign]  # of this link alone
+    with contextlib.suppress(Killed):
+        run(bench)
+    if step < 60:
+        restore(bench.another()._link, BeforeStore(bench.store.path))
+    assert owned(bench) == before and not bench.servo.is_on
+
+
+def test_an_end_that_an_older_rig_left_half_done_is_gone_on_with(tmp_path: Path) -> None:
+    """It put the mode back last, and named that alone from there on: gains are as the mode has reset them."""
+    bench = Bench(store=BeforeStore(tmp_path / "servo.json"))
+    bench.servo.put("position_p_gain", 123)
+    before, values = owned(bench), values_of(bench.driver._link)
+    order = ("pwm_slope", "pwm_limit", "return_delay_time", "operating_mode", "goal_pwm")
+    registers = {name: values[name] for name in (*order, *(name for name in values if name not in order))}
+    for mode, sets in ((3, {}), (16, {}), (16, {"pwm_limit": [bench.setup.max_units]})):
+        bench.store.save(bench.setup.model, 1, registers, {**sets, "operating_mode": [16]})
+        bench.servo.put("operating_mode", mode)
+        bench.servo.put("position_p_gain", 400)
+        restore(bench.another()._link, BeforeStore(bench.store.path))
+        assert owned(bench) == before and not bench.store.is_kept, (mode, sets)
+
+
+def test_another_servo_of_pwm_mode_is_no_end_that_was_killed_half_way(tmp_path: Path) -> None:
+    """Until the limit is back rig leaves none in that mode."""
+    store = left_by_a_killed_run(Bench(), tmp_path)
+    other = Bench(store=store, registers={"operating_mode": 16})
+    before = other.registers()
+    with pytest.raises(Fault, match=r"SERVO_CHANGED.*pwm_limit") as raised:
+        restore(other.driver._link, store)
+    assert "is put back" not in raised.value.detail  # no value in the file would do
+    assert other.registers() == before and other.servo.eeprom_writes.total() == 0 and store.is_kept
+
+
+def test_a_killed_run_and_its_keeper_write_the_eeprom_five_times() -> None:
+    """Limit and mode; the keeper, which does not look first, the limit twice. Not what the run has left alone."""
+    bench = Bench()
+    keeper = bench.driver._start_guardian = Keeper(bench)
+    bench.armed()
+    assert keeper.stop() and keeper.restore()
+    assert bench.servo.eeprom_writes == {"pwm_limit": 3, "operating_mode": 2}
 
 
 def test_what_the_keeper_would_put_back_is_known_before_anything_is_written() -> None:

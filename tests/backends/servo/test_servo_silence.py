@@ -154,3 +154,67 @@ def test_a_host_that_dies_or_hangs_is_outlived_by_a_stop_in_time(
 ) -> None:
     for phase in range(first, end):
         stopped_by_keeper(protocol, phase, monkeypatch, hangs=hangs)
+
+
+class Last(Keeper):
+    """A keeper that rests when its host says so, and whose host may end without having put the servo back."""
+
+    drives = False
+
+    def beat(self) -> None:
+        self.drives = True
+
+    def rest(self) -> None:
+        self.drives = False
+
+    def end(self, *, restored: bool) -> None:
+        assert restored or self.outlive() == (True, True)
+
+
+def stands_still_in_the_end(protocol: str, at: int, *, is_behind: bool) -> bool:
+    """Of a run that ends LATE, at that packet of the end. Whether there was such a packet."""
+    bench = Bench(protocol)
+    bus, before, real, packets = bench.bus, bench.registers(), bench.bus.write, 0
+    keeper = bench.driver._start_guardian = Last(bench)
+    bench.armed()
+    faults = []
+    for _ in range(5):
+        faults.append(bench.fault_within(1, 1.0))
+        bus.sleep_until(bus.now_s() + 0.045)
+    assert any(fault is not None and fault.code == "LATE" for fault in faults)
+
+    def write(data: bytes) -> None:
+        nonlocal packets
+        packets += 1
+        if packets == at and is_behind:
+            real(data)
+        if packets == at:
+            bus.write = real  # type: ignore[method-assign]  # of this bus alone
+            bus.sleep_until(bus.now_s() + SILENCE_S)
+            assert not keeper.drives or keeper.stop()
+            bus.sleep_until(bus.now_s() + 1.0)
+            bus.write = write  # type: ignore[method-assign]
+        if packets != at or not is_behind:
+            real(data)
+
+    ends_s, bus.write = bus.now_s(), write  # type: ignore[method-assign]
+    bench.driver.safe_stop()
+    bench.driver.close()
+    bus.write = real  # type: ignore[method-assign]
+    assert not any(volts for t_s, volts in bus.outputs[0] if t_s > ends_s + KEEPERS_S), at
+    assert not bench.servo.is_on and bench.servo.truth().duty == 0.0, at
+    assert bench.registers() == before and bench.wrong() == [], at
+    return packets >= at
+
+
+@pytest.mark.parametrize("step", [7, *evidence(1)])
+@pytest.mark.parametrize("is_behind", [False, True])
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_host_that_stands_still_anywhere_in_the_end_of_a_late_run_leaves_the_servo_off_and_as_it_was(
+    protocol: str, is_behind: bool, step: int
+) -> None:
+    """As by SIGSTOP: its keeper stops the servo meanwhile; behind it the host goes on."""
+    at = 1
+    while stands_still_in_the_end(protocol, at, is_behind=is_behind):
+        at += step
+    assert at > 10
