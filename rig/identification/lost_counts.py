@@ -7,7 +7,7 @@ numbers than laws do.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +23,7 @@ from rig.run_folder.recording.series import TimeSeries, delays_of_all_s
 LAWS = ("gain_by_sign", "viscous_by_direction")  # as which it shows
 MOST, LEAST = 0.12, 0.003  # share of the counts
 STEPS, BESIDE = 12, 0.003
+NEARLY = 1.5  # of the squares that laws leave: as many may a share leave that is looked at more closely
 # Residual with the counts over that with laws, at most: of 14 logs behind half bridges that are not alike it was 1.5 at
 # least, of 11 that had lost counts 1.2 at most
 AS_GOOD = 1.25
@@ -44,14 +45,25 @@ def lost_share(tests: Sequence[TimeSeries], plain: Estimate, law: MotorLaw) -> f
         return plain_residual_rad([_with(test, share) for test in tests], plain)
 
     def of_whole(share: float) -> float:
-        return refit([_with(test, share) for test in tests], motor, PARAMETERS, delays_of_all_s(tests)).rms_rad
+        left_rad = refit([_with(test, share) for test in tests], motor, PARAMETERS, delays_of_all_s(tests)).rms_rad
+        return left_rad**2 / laws_rad**2
 
     motor = Theta(plain.tau_s, plain.K_rad_s_V, plain.fc_V, plain.asym_V, plain.delay_s)
-    near, _ = lowest(of_pieces, -MOST, MOST, STEPS)
-    share, left_rad = lowest(of_whole, near - BESIDE, near + BESIDE, STEPS)  # over the whole a small share adds up
     # a share is a number as a law has one: where laws explain more, all that follows would be in vain
-    is_worth_it = left_rad < EACH_LAW ** (len(law.found) - 1) * law.growth[-1][1]
-    return share if is_worth_it and abs(share) > LEAST else 0.0
+    laws_rad = EACH_LAW ** (len(law.found) - 1) * law.growth[-1][1]
+    near, _ = lowest(of_pieces, -MOST, MOST, STEPS)
+    if not _least_near(of_whole, near, BESIDE) < NEARLY:
+        return 0.0
+    share, left = lowest(of_whole, near - BESIDE, near + BESIDE, STEPS)  # over the whole a small share adds up
+    return share if left < 1.0 and abs(share) > LEAST else 0.0
+
+
+def _least_near(of: Callable[[float], float], at: float, beside: float) -> float:
+    """What is about the least between two shares that lie as far beside one: by the parabola through the three."""
+    low, here, high = of(at - beside), of(at), of(at + beside)
+    bend = low + high - 2.0 * here
+    step = 0.5 * (low - high) / bend if bend > 0.0 else 0.0
+    return min(low, here, high, of(at + beside * min(max(step, -1.0), 1.0)))
 
 
 def with_counts(test: TimeSeries, share: float) -> TimeSeries:
