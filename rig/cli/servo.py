@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from rig.cli.shared import FILE, JSON, OUT, asks_json, ended_in_words, fail, require_new, say_json, written
+from rig.cli.terminal import patience
 from rig.core.faults import Fault
 from rig.run_folder.recording.folder import json_text
 
@@ -49,9 +50,9 @@ def scan(port: str | None, bauds: tuple[int, ...]) -> None:
     asked, found = bauds or USUAL_BAUDS, list[dict[str, object]]()
     for name in [port] if port is not None else _ports():
         for baud in asked:
-            if not asks_json():
-                click.echo(f"{name}: {baud} baud, asks each id, in both protocols; that takes seconds", err=True)
-            for seen in scan(lambda baud, name=name: opened(name, baud), (baud,)):  # type: ignore[misc]
+            with patience(f"{name}: {baud} baud, asks each id, in both protocols"):
+                there = list(scan(lambda baud, name=name: opened(name, baud), (baud,)))  # type: ignore[misc]
+            for seen in there:
                 found.append({"port": name, **_told(seen)})
                 if not asks_json():
                     _say(name, seen)

@@ -106,6 +106,15 @@ class Bench:
         self.bus.sleep_until(begins_s + PERIOD_S)
         return sample
 
+    def driven(self, ticks: int) -> None:
+        """Two tests with a pause between them; the second one drives still."""
+        self.armed()
+        for k in range(ticks):
+            self.tick(0.4 if k % 4 < 2 else -0.4)
+        self.driver.safe_stop()
+        self.driver.arm(self.limits)
+        self.tick(0.2)
+
     def fault_within(self, ticks: int, u_V: float = 0.0) -> Fault | None:
         """The fault that so many ticks raise; None where they raise none."""
         try:

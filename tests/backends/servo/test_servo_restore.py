@@ -42,12 +42,7 @@ def owned(bench: Bench) -> dict[str, int]:
 
 
 def run(bench: Bench) -> None:
-    bench.armed()
-    for k in range(8):
-        bench.tick(0.4 if k % 4 < 2 else -0.4)
-    bench.driver.safe_stop()
-    bench.driver.arm(bench.limits)
-    bench.tick(0.2)
+    bench.driven(8)
     bench.driver.safe_stop()
     bench.driver.close()
 

@@ -186,12 +186,7 @@ def switched(protocol: str, phase: int) -> None:
     bench = Bench(protocol, torque_on_by_goal=True)
     before, outputs, switch = bench.registers(), bench.bus.outputs[0], Switch(bench, phase)
     with suppress(Fault):
-        bench.armed()
-        for k in range(12):
-            bench.tick(0.4 if k % 4 < 2 else -0.4)
-        bench.driver.safe_stop()
-        bench.driver.arm(bench.limits)
-        bench.tick(0.2)
+        bench.driven(12)
     bench.driver.safe_stop()
     bench.driver.close()
     switch.mend()
