@@ -154,6 +154,10 @@ def _recording(source: Path, raw: Columns, rows: Sequence[int], log: LogFormat, 
             rows, t_s, u_V = [rows[k] for k in summed.rows], t_s[summed.rows], u_V[summed.rows]
     else:
         seen = np.flatnonzero(np.isfinite(raw["y_rad"]))
+        if seen.size < MIN_ROWS:
+            raise RecordingError(
+                source, f"has {seen.size} rows with a position in a run", f"record at least {MIN_ROWS}", rows[0]
+            )
         if seen.size < t_s.size:
             steps = (t_s, u_V)
             rows, t_s, u_V, raw["y_rad"] = [rows[k] for k in seen.tolist()], t_s[seen], u_V[seen], raw["y_rad"][seen]
