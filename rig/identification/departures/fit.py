@@ -127,10 +127,10 @@ class Problem:
     def cost(self, residual: Array, motor: RealMotor) -> float:
         """Sum of squares of the whitened residual, large ones by their size; with the ``surprise`` of the motor."""
         surprise = self.surprise(motor)
-        if math.isinf(self.robust_rad):
-            white = self.whitened(residual)
-            return float(white @ white) + surprise
         with np.errstate(over="ignore"):  # a trial far from any motor costs inf
+            if math.isinf(self.robust_rad):
+                white = self.whitened(residual)
+                return float(white @ white) + surprise
             share = (self.cut.counting(residual) / self.robust_rad) ** 2
         return 2.0 * (self.robust_rad / self.sigma_rad) ** 2 * float(np.sum(np.sqrt(1.0 + share) - 1.0)) + surprise
 
