@@ -96,7 +96,7 @@ def reboot(port: str, id: int, baud: int, yes: bool) -> None:
     with opened(port, baud) as line:
         link = known_servo(line, id, baud)
         _ask(f"reboot {link.model.name}, id {id}? Its torque goes off", yes=yes)
-        start_anew(line, link)
+        start_anew(link)
     click.echo(f"servo {id} answers again")
 
 
