@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -239,6 +240,11 @@ def opened(port: str, baud: int) -> Iterator[SerialPort]:
         yield one
     except Fault as fault:
         fault.fit("servo")
+        if fault.code in ("LINK_TIMEOUT", "LINK_REPLY", "LINK_LOST"):  # there is no config to look into, and no run
+            fault.cure = (
+                "check the servo's supply, cable and adapter, and that nothing else talks on its bus; "
+                f"`rig servo scan {shlex.quote(port)}` shows who answers, and at which --baud"
+            )
         raise
     finally:
         one.close()
