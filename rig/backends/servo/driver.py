@@ -552,13 +552,25 @@ class ServoDriver(RegisterDriver[Ask]):
     # ------------------------------------------------------------------ what the values mean
 
     def _told(self, reply: Reply) -> Sequence[int]:
-        """What a reading holds, in the order of addresses; the position over turns is ``_position`` from now on."""
+        """What a reading holds, in the order of addresses; ``_position`` and ``_sampled_s`` are its from now on.
+
+        The position goes on over turns, the first one is within half a turn of zero. Raises Fault SENSOR_JUMP.
+        """
         self._errors = reply.pdu[0]
         try:
             told = self._numbers(reply.pdu[1:])
         except ValueError as error:
             raise self._client.misfit(str(error)) from error
-        self._unwrap(told[self._places.position])
+        position, turn, last = told[self._places.position], self._turn, self._position
+        if last is None:
+            self._position = position - turn * math.floor((position - self._setup.zero_counts) / turn + 0.5)
+        else:
+            step = (position - last + turn // 2) % turn - turn // 2
+            if 2 * abs(step) >= turn // 2 and self._armed:
+                from_zero = last - self._setup.zero_counts
+                words = f"from {from_zero} to {from_zero + step} counts in one tick: {step / turn:+.2f} turns"
+                raise Fault("SENSOR_JUMP", words)
+            self._position = last + step
         tick = self._places.tick
         self._sampled_s = self._step_of(told[tick], reply) if tick >= 0 else reply.executed_s - 0.5 * STEP_S
         return told
@@ -578,20 +590,6 @@ class ServoDriver(RegisterDriver[Ask]):
             self._waits_s = waits_s
         earliest_s = reply.executed_s - (reply.at_most_s - reply.round_trip_s)  # it left as soon as it could
         return self._steps.take(tick, earliest_s, reply.latest_s - self._waits_s)
-
-    def _unwrap(self, position: int) -> None:
-        """Keep the position over turns, the first one within half a turn of zero. Raises Fault SENSOR_JUMP."""
-        turn, last = self._turn, self._position
-        if last is None:
-            from_zero = position - self._setup.zero_counts
-            self._position = position - turn * math.floor(from_zero / turn + 0.5)
-            return
-        step = (position - last + turn // 2) % turn - turn // 2
-        if 2 * abs(step) >= turn // 2 and self._armed:
-            zero = self._setup.zero_counts
-            words = f"from {last - zero} to {last + step - zero} counts in one tick: {step / turn:+.2f} turns"
-            raise Fault("SENSOR_JUMP", words)
-        self._position = last + step
 
     @override
     def _tick_writing(self, units: int) -> None:
