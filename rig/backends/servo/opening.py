@@ -184,21 +184,23 @@ def await_supply(link: ServoLink, setup: ServoSetup, asks: Asks) -> None:
     """
     voltage, until_s, risen = link.model.role("voltage"), link.now_s() + _RISES_S, 0
 
+    def is_near() -> bool:
+        held = link.value_of(link.bus.id, voltage.name)  # it may still fail again
+        return held is not None and _is_near(held * voltage.scale, link, setup)
+
     def is_over() -> bool:
         nonlocal risen
-        held = link.value_of(link.bus.id, voltage.name)
-        risen = risen + 1 if held is not None and _is_near(held * voltage.scale, link, setup) else 0
+        risen = risen + 1 if is_near() else 0
         if risen >= _SWITCH_LOOKS or link.now_s() >= until_s:
             return True
         link.client.wait(_SWITCH_LOOK_S)
         return False
 
-    is_near = _is_near(link.value(voltage.name) * voltage.scale, link, setup)
-    if not is_near:
+    if not (is_there := is_near()):
         words = f"the supply of servo {link.bus.id} rises to {setup.supply_V:g} V: rig waits, {_RISES_S:g} s at most"
         asks(words, is_over)
-        is_near = risen >= _SWITCH_LOOKS
-    if is_near and link.value(link.model.roles["errors"]) == _LOW:
+        is_there = risen >= _SWITCH_LOOKS
+    if is_there and link.value(link.model.roles["errors"]) == _LOW:
         start_anew(link)
 
 
