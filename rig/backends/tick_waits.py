@@ -26,10 +26,11 @@ class TickWaits:
     ticks      ahead of the current one in which a loop reacts
     period_s   of the loop; 0: not known, and the current tick alone counts
     longest_s  what late ticks and the current one may take together
+    until_s    when all that the current one may take is over
     """
 
     def __init__(self, ticks: int, period_s: float) -> None:
-        self.longest_s = 0.0
+        self.longest_s = self.until_s = 0.0
         self._period_s = period_s
         self._before: deque[float] = deque(maxlen=ticks if period_s > 0.0 else 0)
         self._begun_s = 0.0
@@ -37,7 +38,7 @@ class TickWaits:
 
     def restart(self, longest_s: float, now_s: float) -> None:
         """The loop begins: no tick was late."""
-        self.longest_s, self._begun_s = longest_s, now_s
+        self.longest_s, self._begun_s, self.until_s = longest_s, now_s, now_s + longest_s
         self._before.clear()
         self._readings, self._is_driven = 0, False
 
@@ -52,7 +53,7 @@ class TickWaits:
 
     def left_s(self, now_s: float) -> float:
         """For how long an exchange that begins now may wait, s."""
-        return self.longest_s - sum(self._before) - (now_s - self._begun_s)
+        return self.until_s - now_s
 
     def read(self, now_s: float) -> None:
         """A reading begins. A tick has two at most: who reads on and drives nothing has other ticks."""
@@ -62,7 +63,7 @@ class TickWaits:
             self._before.append(now_s - self._begun_s - due_s)
             self._readings, self._is_driven = 0, False
         if self._readings == 0:
-            self._begun_s = now_s
+            self._begun_s, self.until_s = now_s, now_s + self.longest_s - sum(self._before)
         self._readings += 1
 
     def drive(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -96,7 +97,7 @@ def reboot(port: str, id: int, baud: int, yes: bool) -> None:
     with opened(port, baud) as line:
         link = known_servo(line, id, baud)
         _ask(f"reboot {link.model.name}, id {id}? Its torque goes off", yes=yes)
-        start_anew(line, link)
+        start_anew(link)
     click.echo(f"servo {id} answers again")
 
 
@@ -239,6 +240,11 @@ def opened(port: str, baud: int) -> Iterator[SerialPort]:
         yield one
     except Fault as fault:
         fault.fit("servo")
+        if fault.code in ("LINK_TIMEOUT", "LINK_REPLY", "LINK_LOST"):  # there is no config to look into, and no run
+            fault.cure = (
+                "check the servo's supply, cable and adapter, and that nothing else talks on its bus; "
+                f"`rig servo scan {shlex.quote(port)}` shows who answers, and at which --baud"
+            )
         raise
     finally:
         one.close()

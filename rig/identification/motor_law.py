@@ -383,7 +383,8 @@ class Beginning:
 
 def _listed(words: Iterable[str]) -> str:
     """In one sentence, such as ``a, b and c``."""
-    return " and ".join(", ".join(words).rsplit(", ", 1))
+    said = list(words)
+    return " and ".join(filter(None, (", ".join(said[:-1]), *said[-1:])))
 
 
 def _swings_s(test: TimeSeries) -> float | None:

@@ -73,6 +73,13 @@ def test_a_servo_speaks_at_another_baud_from_then_on(port: str) -> None:
     assert "no 12345 baud" in said("servo", "baud", port, "7", "12345", "--yes", status=1)
 
 
+@pytest.mark.parametrize("typed", [("show", "3"), ("baud", "3", "57600", "--yes"), ("restore", "3")])
+def test_a_command_without_a_config_names_no_key_of_one_where_nobody_answers(typed: tuple[str, ...], port: str) -> None:
+    told = said("servo", typed[0], port, *typed[1:], status=1)
+    assert "no servo 3 answers" in told and f"`rig servo scan {port}` shows who answers" in told
+    assert "daq." not in told and "rig check" not in told
+
+
 def test_a_reboot_and_nobody_to_reboot(port: str) -> None:
     assert "answers again" in said("servo", "reboot", port, "1", "--yes")
     assert "no servo 3 answers" in said("servo", "reboot", port, "3", "--yes", status=1)
@@ -167,6 +174,8 @@ def test_a_first_config_knows_what_the_servo_tells(port: str, tmp_path: Path) ->
 
 @pytest.mark.parametrize(("arguments", "words"), [
     (("--servo", "ax-12"), "rig knows no servo"),
+    (("--servo", "xl300-m288"), "did you mean xl330-m288 or"),
+    (("--servo", "foo"), "a model of one of these: 2xc430, 2xl430, mx, sts3215,"),
     (("--servo", "xl330"), "xl330 may be xl330-m077 or xl330-m288"),
     (("--servo", "XL 330"), "XL 330 may be xl330-m077 or xl330-m288"),
     (("--servo", "xm430-w350"), "give --no-load-rpm"),

@@ -17,13 +17,13 @@ from campaign_real.departing_motor import Bench, Departures, PlainMotor, relay_t
 from campaign_real.kinds import KINDS, Case, case
 from rig.config.campaign import Campaign
 from rig.identification import sampled_data
-from rig.identification.departures import DEPARTURES
+from rig.identification.departures import DEPARTURES, laws
 from rig.identification.departures.choice import Columns
 from rig.identification.departures.fit import CORE, Known, Normal, Problem, limits_of, solve, start
 from rig.identification.departures.pieces import Cut
 from rig.identification.estimate import Estimate
 from rig.identification.identification import Identification, identify
-from rig.identification.motor_law import motor_law
+from rig.identification.motor_law import _listed, motor_law
 from rig.identification.thinning import thinned
 from rig.model.friction import coulomb, tustin
 from rig.model.motor import Motor
@@ -323,3 +323,11 @@ def test_a_long_record_is_thinned_and_its_law_stays() -> None:
     assert law.found[0].size == pytest.approx(0.05, rel=0.1)
     assert law.estimate is not None
     assert law.estimate.tau_s == pytest.approx(plain.tau_s, rel=0.02)
+
+
+@pytest.mark.parametrize("law", ["runs_free", "no_brake"])
+def test_what_is_to_be_recorded_is_one_list_though_an_item_has_a_comma(law: str) -> None:
+    """It read: from several speeds and and a large drive."""
+    told_by = laws.BY_NAME[law].told_by
+    assert ", " in told_by and _listed([told_by]) == told_by
+    assert _listed(["slow sweeps", "a relay test", told_by]) == f"slow sweeps, a relay test and {told_by}"

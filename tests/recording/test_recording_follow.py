@@ -148,6 +148,15 @@ def test_the_present_stage_stays_in_sight_and_the_report_is_one() -> None:
     assert "report" in shown(progress, draws=True) and "report" not in shown(progress)
 
 
+def test_behind_a_fault_the_terminal_says_that_the_motor_is_identified_and_for_how_long() -> None:
+    """Ctrl-C was followed by seconds in which nothing moved."""
+    progress = Progress()
+    progress.take_event({"t_s": 2.0, "kind": "fault", "code": "INTERRUPTED", "cause": "the run was interrupted"})
+    progress.take_event({"t_s": 2.0, "kind": "end"})
+    progress.still_s = 4.4
+    assert "the motor is identified, and drawn, 4 s" in shown(progress, draws=True)
+
+
 def test_only_whole_lines_are_taken(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     tail = Tail(path)

@@ -5,7 +5,8 @@ to the first of two relay tests of 14 s. BEFORE has the same ratios of commit 37
 faster machine makes no faster rig.
 
     PYTHONPATH=tools python -m bench.identify_speed [--json] [--times 3] [--rig "python -m rig"]
-RIG_SHARED_DATA adds the records that it names. --rig: measure another rig, with an environment of its own:
+RIG_SHARED_DATA adds the records that it names, and those of servos with BAM's published friction: M1 to M6, free and
+with a load, by relay and by strokes. --rig: measure another rig, with an environment of its own:
 --rig "env PYTHONPATH=OLD OLD/.venv/bin/python -m rig", OLD a clone of that commit.
 """
 
@@ -23,11 +24,14 @@ from pathlib import Path
 
 import numpy as np
 
+from bam.__main__ import FREE, LOADS, recordings
+from bam.records import Case, records_of
 from bench.benchmark import options, tell
 from bench.sampled_data_speed import peer
 from real_records.__main__ import entries, identified
 from rig.control.relay import DualChannelRelay
 from rig.control.simulation import Sampling, simulate
+from rig.identification import identify
 from rig.identification.starts import Start
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
@@ -37,6 +41,7 @@ from rig.run_folder.recording.series import TimeSeries
 MOTOR = Motor(0.17, 6.5, coulomb(0.48))
 GAINS = ((0.17, 0.74), (0.25, 0.95))
 LENGTH_S = 14.0
+SERVO_SEED, SERVO_GOAL_CPU_S = 1, 15.0
 START = Start(0.25, 5.0, 0.35)
 BEFORE = {"start": 0.0140, "two records of 14 s": 0.0648, "EMPS": 0.4326}
 
@@ -77,6 +82,21 @@ def peer_cpu_s() -> float:
     return time.process_time() - before
 
 
+def servo_cpu_s(folder: Path) -> dict[str, float]:
+    """CPU seconds of each identification of a servo, by its record; after one that compiles."""
+    found = {}
+    models = [f"m{k}" for k in range(1, 7)]
+    cases = [
+        Case("XL330", m, load, by) for m in models for load in (FREE, LOADS["XL330"]) for by in ("relay", "strokes")
+    ]
+    for one in (cases[0], *cases):
+        given = recordings(one, records_of(one, folder, SERVO_SEED)[0])
+        before = time.process_time()
+        identify(given)
+        found[f"{one.title}, {one.record}"] = time.process_time() - before
+    return found
+
+
 def commands(rig: Sequence[str], folder: Path, data: Path | None) -> dict[str, list[str]]:
     """Each figure's command."""
     found = {
@@ -113,6 +133,12 @@ def main() -> int:
                 for what, value_s in (("nine_of_ten", ninth), ("most", each[-1]))
                 for of, value in (("cpu_s", value_s), ("over_peer", value_s / peer_s))
             }
+            servos = servo_cpu_s(data / "bam")
+            slowest = max(servos, key=lambda name: servos[name])
+            result["servos"] = {
+                "records": len(servos), "slowest": slowest, "goal_cpu_s": SERVO_GOAL_CPU_S,
+                "most_cpu_s": round(servos[slowest], 2), "most_over_peer": round(servos[slowest] / peer_s, 3),
+            }  # fmt: skip
     tell(result, as_json=given.json)
     return 0
 

@@ -4,26 +4,32 @@ PYTHONPATH=tools python -m bench.servo_loop [--json] [--minutes M]
 
 A machine that stands still makes every loop miss ticks. So on each core a C loop (`peers/wake_up_loop.c`) of the same
 period, policy and spin sleeps and wakes at the same time: a tick that ours misses while one of them was late is the
-machine's. What is left is ours, and that of the emulated servo and its pseudo-terminal, which have the ordinary
-priority: other programs must rest.
+machine's. Of the others a tick is its bus's where it would have been in time, had its answers come as they mostly do:
+what the emulated servo's pseudo-terminal hands on waits for a worker of the kernel, which has the ordinary priority and
+is kept from its core by any program that computes. So each second turn raises these workers (`loop.raise_workers`).
 """
 
 from __future__ import annotations
 
 import os
+import statistics
 import sys
 import tempfile
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from bench.benchmark import options, tell
 from bench.late_ticks import Block
 from bench.tick import CONFIG, BareRelay, Limited, in_real_time
 from bench.wake_up import PRIORITY, SPIN_US, TickingProcess, build, fifo_is_allowed
-from rig.config import load
+from rig.backends.links.open_link import OpenLink
+from rig.backends.registry import Bench
+from rig.config import Experiment, load
 from rig.control.guard import Guard
 from rig.control.loop.real_time import real_time
 from rig.control.loop.runner import Loop
@@ -43,20 +49,48 @@ WATCHDOG_S = 0.5  # a run of a real one ends; here ticks are counted
 Span = tuple[int, int]  # ns of CLOCK_MONOTONIC
 
 
-class Missing(NullSink):
-    """Keeps the numbers of the ticks that ran behind missed ones."""
+class Gap(NamedTuple):
+    """Missed ticks: the tick before, and the one behind; what the one before took, s, and what of it answers took."""
 
-    def __init__(self) -> None:
-        self.gaps: list[tuple[int, int]] = []  # the tick before, and the one behind
-        self._last = 0
+    before: int
+    behind: int
+    took_s: float
+    waited_s: float
+
+
+class Missing(NullSink):
+    """Keeps the ticks that made others be missed.
+
+    link   whose reads are waits for answers
+    due_s  when a tick is due, in the clock of ``time.monotonic``
+    """
+
+    def __init__(self, link: OpenLink, due_s: Callable[[int], float]) -> None:
+        self.gaps: list[Gap] = []
+        self.waits_s: list[float] = []  # of each tick
+        self._due_s, self._read, self._waited_s, self._last = due_s, link.read, 0.0, Gap(0, 0, 0.0, 0.0)
+        link.read = self._timed  # type: ignore[method-assign]  # of this one
+
+    def _timed(self, timeout_s: float) -> bytes:
+        begun_s = time.monotonic()
+        try:
+            return self._read(timeout_s)
+        finally:
+            self._waited_s += time.monotonic() - begun_s
 
     def sample(self, *row: object) -> None:
-        """Keep that."""
+        """A tick's drive is out."""
         tick, flags = row[0], row[8]
         assert isinstance(tick, int) and isinstance(flags, int)
         if flags & FLAG_SKIPPED:
-            self.gaps.append((self._last, tick))
-        self._last = tick
+            self.gaps.append(self._last._replace(behind=tick))
+        self._last = Gap(tick, tick, time.monotonic() - self._due_s(tick), self._waited_s)
+        self.waits_s.append(self._waited_s)
+        self._waited_s = 0.0
+
+    def is_of_the_bus(self, gap: Gap, period_s: float) -> bool:
+        """Whether no tick would have been missed, had the answers come as they mostly do."""
+        return gap.took_s - gap.waited_s + statistics.median(self.waits_s) < period_s
 
 
 def stood(blocks: Sequence[Block]) -> list[Span]:
@@ -70,59 +104,89 @@ def stood(blocks: Sequence[Block]) -> list[Span]:
     ]
 
 
+class Counts:
+    """What came of the turns under one condition."""
+
+    def __init__(self) -> None:
+        self.ticks = self.missed = self.of_the_bus = self.while_no_bare_loop_stood = self.own = 0
+        self.bare_ticks = self.bare_missed = 0
+        self.bare_longest_late_ms = 0.0
+        self.faults: list[str] = []
+
+    def gap(self, gap: Gap, *, is_of_the_bus: bool, stood: bool) -> None:
+        """Ticks that were missed; ``stood``: a bare loop was kept from its core meanwhile."""
+        count = gap.behind - gap.before - 1
+        self.while_no_bare_loop_stood += count * (not stood)
+        self.of_the_bus += count * (not stood and is_of_the_bus)
+        self.own += count * (not stood and not is_of_the_bus)
+
+    def bare(self, blocks: Sequence[Block]) -> None:
+        """What the bare loops did in a turn."""
+        self.bare_ticks += sum(block.late_us.size for block in blocks)
+        self.bare_missed += sum(block.skipped or 0 for block in blocks)
+        longest_ms = 1e-3 * max(float(block.late_us.max()) for block in blocks)
+        self.bare_longest_late_ms = max(self.bare_longest_late_ms, round(longest_ms, 2))
+
+
+def turn(experiment: Experiment, bench: Bench, peers: Sequence[TickingProcess], counts: Counts) -> None:
+    """One turn of the loop, and of the bare ones beside it."""
+    period_s, ticks = experiment.period_s, round(TURN_S / experiment.period_s)
+    link = getattr(bench.driver, "_transport", None)
+    assert isinstance(link, OpenLink)
+    guard, zero_s = Guard(guard_settings_of(experiment)), 0.0
+    guard.sign_proven = True
+    record = Missing(link, lambda tick: zero_s + period_s * tick)
+    loop = Loop(bench.driver, bench.clock, guard, record, period_s, StopRequest(StopFlag.unseen()))
+    zero_s = bench.clock.now_s() - loop.now_s
+    with ThreadPoolExecutor(len(peers)) as pool:
+        beside = [pool.submit(peer.run, ticks, round(1e6 * period_s)) for peer in peers]
+        try:
+            with loop.armed(experiment.device.arming):
+                loop.run(Limited(BareRelay(), ticks), "relay-1")
+        except Fault as fault:
+            counts.faults.append(f"{fault.code}: {fault.detail}")
+        finally:
+            loop.close()  # else it reads on, between the next one's exchanges
+            del link.read
+        blocks = [one.result() for one in beside]
+    spans = stood(blocks)
+    counts.bare(blocks)
+    counts.ticks += loop.statistics.ticks
+    counts.missed += loop.statistics.skipped
+    for gap in record.gaps:
+        begin_ns, end_ns = (round(1e9 * (zero_s + period_s * tick)) for tick in (gap.before, gap.behind))
+        has_stood = any(from_ns < end_ns and to_ns > begin_ns for from_ns, to_ns in spans)
+        counts.gap(gap, is_of_the_bus=record.is_of_the_bus(gap, period_s), stood=has_stood)
+
+
 def measured(config: str, turns: int) -> dict[str, Any]:
-    """Ticks that ran and were missed: ours, while no bare loop stood still, too; and theirs, of each core."""
+    """Ticks that ran and were missed, with the kernel's workers as usual and raised, turn by turn."""
     experiment = load(CONFIG / config)
     daq = experiment.daq.model_copy(update={"watchdog_s": WATCHDOG_S, "timeout_s": 0.1})
     experiment = experiment.model_copy(update={"daq": daq})
-    period_s, cores = experiment.period_s, range(os.cpu_count() or 1)
-    ticks, priority = round(TURN_S / period_s), PRIORITY["fifo"] if fifo_is_allowed() else 0
-    found: dict[str, Any] = dict.fromkeys(("ticks", "missed", "missed_while_no_bare_loop_stood"), 0)
-    found |= {"bare_ticks": 0, "bare_missed": 0, "bare_longest_late_ms": 0.0, "faults": []}
+    priority = PRIORITY["fifo"] if fifo_is_allowed() else 0
+    conditions = {"workers_as_usual": (False, Counts()), "workers_raised": (True, Counts())}
+    refused: list[str] = []
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         bench = stack.enter_context(in_real_time(experiment))
         c_loop = build("wake_up_loop", Path(folder))
+        cores = range(os.cpu_count() or 1)
         peers = [TickingProcess(["taskset", "-c", str(k), c_loop, str(priority), str(SPIN_US)]) for k in cores]
-        pool = stack.enter_context(ThreadPoolExecutor(len(peers)))
         for peer in peers:
             stack.callback(peer.close)
             peer.run(5, 1000)  # first pages
-        found["refused"] = list(stack.enter_context(real_time(real_time_of(experiment))).refused)
         for _ in range(turns):
-            guard, record = Guard(guard_settings_of(experiment)), Missing()
-            guard.sign_proven = True
-            loop = Loop(bench.driver, bench.clock, guard, record, period_s, StopRequest(StopFlag.unseen()))
-            zero_ns = round(1e9 * (bench.clock.now_s() - loop.now_s))
-            beside = [pool.submit(peer.run, ticks, round(1e6 * period_s)) for peer in peers]
-            try:
-                with loop.armed(experiment.device.arming):
-                    loop.run(Limited(BareRelay(), ticks), "relay-1")
-            except Fault as fault:
-                found["faults"].append(f"{fault.code}: {fault.detail}")
-            finally:
-                loop.close()  # else it reads on, between the next one's exchanges
-            blocks = [one.result() for one in beside]
-            spans = stood(blocks)
-            found["ticks"] += loop.statistics.ticks
-            found["missed"] += loop.statistics.skipped
-            for before, behind in record.gaps:
-                begin_ns, end_ns = (round(zero_ns + 1e9 * period_s * tick) for tick in (before, behind))
-                if not any(from_ns < end_ns and to_ns > begin_ns for from_ns, to_ns in spans):
-                    found["missed_while_no_bare_loop_stood"] += behind - before - 1
-            found["bare_ticks"] += sum(block.late_us.size for block in blocks)
-            found["bare_missed"] += sum(block.skipped or 0 for block in blocks)
-            longest_ms = 1e-3 * max(float(block.late_us.max()) for block in blocks)
-            found["bare_longest_late_ms"] = max(found["bare_longest_late_ms"], round(longest_ms, 2))
-    found["missed_per_missed_of_a_bare_loop"] = (
-        round(found["missed"] * len(peers) / found["bare_missed"], 2) if found["bare_missed"] else None
-    )
-    return found
+            for raises, counts in conditions.values():
+                with real_time(replace(real_time_of(experiment), raise_workers=raises)) as done:
+                    turn(experiment, bench, peers, counts)
+                refused = done.refused
+    return {"refused": refused, **{name: vars(counts) for name, (_, counts) in conditions.items()}}
 
 
 def main() -> int:
     """Both protocols, one after the other."""
     parser = options("Missed ticks of a servo's loop beside bare loops.")
-    parser.add_argument("--minutes", type=float, default=0.5, help="of each protocol")
+    parser.add_argument("--minutes", type=float, default=0.5, help="of each protocol and condition")
     arguments = parser.parse_args()
     turns = max(round(60.0 * arguments.minutes / TURN_S), 1)
     result: dict[str, object] = {"fifo": fifo_is_allowed(), "cores": os.cpu_count()}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import select
 import time
+from collections.abc import Callable
 
 from rig.core.faults import Fault
 
@@ -22,6 +23,8 @@ class OpenLink:
     def __init__(self, descriptor: int, name: str = "the link") -> None:
         self._fd = descriptor
         self._name = name
+        self._send: Callable[[int, bytes], int] = os.write
+        self._receive: Callable[[int, int], bytes] = os.read
 
     @property
     def descriptor(self) -> int:
@@ -31,7 +34,7 @@ class OpenLink:
     def write(self, data: bytes) -> None:
         """Send all of ``data``. Raises Fault LINK_LOST if the link is dead or takes no more."""
         try:
-            sent = self._send(data)
+            sent = self._send(self._fd, data)
         except OSError as error:
             raise Fault("LINK_LOST", f"{self._name}: {error.strerror}") from error
         if sent != len(data):
@@ -42,7 +45,7 @@ class OpenLink:
         try:
             if not select.select([self._fd], [], [], timeout_s)[0]:
                 return b""
-            data = self._receive(_READ_BYTES)
+            data = self._receive(self._fd, _READ_BYTES)
             if not data and not select.select([self._fd], [], [], 0.0)[0]:
                 return b""  # another process that has this link, as a keeper, was quicker; a dead one stays readable
         except BlockingIOError:
@@ -52,12 +55,6 @@ class OpenLink:
         if not data:
             raise Fault("LINK_LOST", f"{self._name} hung up")
         return data
-
-    def _send(self, data: bytes) -> int:
-        return os.write(self._fd, data)
-
-    def _receive(self, most: int) -> bytes:
-        return os.read(self._fd, most)
 
     def close(self) -> None:
         """Nothing: its opener closes it, or the end of this process does."""

@@ -42,8 +42,9 @@ class _Beyond:
 
     def take(self, beyond_s: float) -> None:
         self.count += 1
-        self._sum_s += min(beyond_s, _STOOD_STILL_S)
-        self.least_s = min(self.least_s, beyond_s)
+        self._sum_s += beyond_s if beyond_s < _STOOD_STILL_S else _STOOD_STILL_S
+        if beyond_s < self.least_s:
+            self.least_s = beyond_s
 
     @property
     def mean_s(self) -> float:
@@ -104,14 +105,18 @@ class RegisterDriver(ABC, Generic[Req]):
         self._t_u_s = math.nan
         self._sampled_s = math.nan  # when the position of the last reading was
         self._driven_s = -math.inf  # when the device last executed a drive
-        self._heard_s = -math.inf  # when it last heard anything, at the latest: a servo's watchdog begins anew by that
-        self._replied_s = -math.inf  # the same, of an exchange of a reading or drive that is not over
+        # when its watchdog ends the last drive, at the latest: a servo's begins anew whenever it hears anything
+        self._ends_s = -math.inf
+        self._replied_s = (
+            -math.inf
+        )  # when it last heard anything, of an exchange of a reading or drive that is not over
         self._acts_s = 0.0  # for so long its watchdog lets that act, or, without one, this driver
         self._lost_reply_s = (
             self._timeout_s
         )  # as preflight counts: a drive may act so much longer by what a reply waits
         self._waits = TickWaits(REACTS_TICKS, timeouts.period_s)
         self._beyond = {True: _Beyond(), False: _Beyond()}  # of readings, of drives
+        self._reckons = True  # its times are by the exchanges; False: the device tells them
 
     @property
     def order(self) -> Order:
@@ -223,8 +228,9 @@ class RegisterDriver(ABC, Generic[Req]):
         else:
             self._acts_s = min(self.failsafe.time_s, LONGEST_WATCHDOG_S)
             longest_s = self._lost_reply_s + self._acts_s
-        self._heard_s = self._replied_s = self._transport.now_s()
-        self._waits.restart(longest_s, self._heard_s)
+        self._replied_s = self._transport.now_s()
+        self._ends_s = math.inf if self.failsafe is None else self._replied_s + self._acts_s
+        self._waits.restart(longest_s, self._replied_s)
 
     def read(self) -> Sample:
         """Sample the bench.
@@ -535,20 +541,26 @@ class RegisterDriver(ABC, Generic[Req]):
         only be its reply. Where one reply after the other is late, the link is not fit for the period: LINK_TIMEOUT.
         Where ticks came too late before it: LATE.
         """
-        self._check_late("LATE")
-        begun_s = self._transport.now_s()
-        longest_s = max(self._timeout_s, self._driven_s + self._acts_s - begun_s)
-        left_s = self._waits.left_s(begun_s) if self._acts_at(begun_s) else longest_s
-        waits_s = max(min(longest_s, left_s), 0.0)
+        begun_s, left_s = self._transport.now_s(), math.inf
+        if begun_s < self._ends_s:  # else the device says so
+            left_s = self._waits.until_s - begun_s
+            if left_s < 0.0:
+                self._check_late("LATE")
+                left_s = 0.0
+        longest_s = self._driven_s + self._acts_s - begun_s
+        if longest_s < self._timeout_s:
+            longest_s = self._timeout_s
+        waits_s = left_s if left_s < longest_s else longest_s
         try:
-            reply = self._client.asked(request, waits_s, in_tick=True, idle_s=min(idle_s, waits_s))
+            reply = self._client.asked(request, waits_s, in_tick=True, idle_s=idle_s if idle_s < waits_s else waits_s)
         except Fault as fault:
             self._explain(fault)
             if fault.code == "LINK_TIMEOUT" and left_s < longest_s:
                 raise Fault(fault.code, f"{fault.detail}; {self._waits.words}") from fault
             raise
         self._replied_s = reply.latest_s
-        self._beyond[request is self._sampling].take(reply.latest_s - reply.executed_s)
+        if self._reckons:
+            self._beyond[request is self._sampling].take(reply.latest_s - reply.executed_s)
         self._late_in_a_row = self._late_in_a_row + 1 if reply.round_trip_s > self._unfit_s else 0
         if self._late_in_a_row >= _LATE_REPLIES:
             ends = Fault("LINK_TIMEOUT", f"{_LATE_REPLIES} replies in a row took over {1e3 * self._unfit_s:g} ms")
@@ -556,14 +568,10 @@ class RegisterDriver(ABC, Generic[Req]):
             raise ends
         return reply
 
-    def _acts_at(self, now_s: float) -> bool:
-        """Whether the last drive may act then: where its watchdog has ended it the device says so."""
-        return self.failsafe is None or now_s < self._heard_s + self._acts_s
-
     def _check_late(self, code: str) -> None:
         """Raise that fault where late ticks and replies have taken more than is counted, and a drive may act."""
         now_s = self._transport.now_s()
-        if self._waits.is_over(now_s) and self._acts_at(now_s):
+        if self._waits.is_over(now_s) and now_s < self._ends_s:
             ends = Fault(code, self._waits.words)
             self._explain(ends)
             raise ends
@@ -574,10 +582,12 @@ class RegisterDriver(ABC, Generic[Req]):
         One whose status tells has heard this before that could act, though its answer was taken much later; unless it
         was armed at ``armed_s``, which is later: then its watchdog does not do what it must.
         """
-        acts_s = self._heard_s + self._acts_s
-        is_sure = self._map.status is None or armed_s >= acts_s
-        self._heard_s = self._replied_s if is_sure else min(self._replied_s, acts_s)
-        self._check_late("LINK_TIMEOUT")
+        is_sure = self._map.status is None or armed_s >= self._ends_s
+        heard_s = self._replied_s if is_sure else min(self._replied_s, self._ends_s)
+        if self.failsafe is not None:
+            self._ends_s = heard_s + self._acts_s
+        if self._transport.now_s() > self._waits.until_s:
+            self._check_late("LINK_TIMEOUT")
 
     def _explain(self, fault: Fault) -> None:
         """Raise the fault that is behind one of the link, where the driver knows it."""

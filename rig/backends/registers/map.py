@@ -124,27 +124,39 @@ class RegisterSpan:
 
     def values(self, words: Sequence[int]) -> dict[str, float]:
         """What they hold, by name. Raises ValueError for another number of cells, and as ``Register.unpack``."""
-        if (parts := self._bytes) is not None:
-            form, names, signed = parts
-            if len(words) != form.size:
-                raise ValueError(f"{len(words)} bytes where {self} has {form.size}")
-            held: dict[str, float] = dict(zip(names, form.unpack(bytes(words)), strict=True))
-            for name, below, r in signed:
-                if held[name] >= below:
-                    held[name] = r.signed(held[name])
-            return held
+        if self._bytes is not None:
+            return dict(zip(self.names, self.numbers(bytes(words)), strict=True))
         first = self.address
         return {r.name: r.unpack(words[r.address - first : r.address - first + r.words]) for r in self.registers}
+
+    def numbers(self, data: bytes) -> Sequence[int]:
+        """What they hold in the order of ``names``, where each cell is a byte. Raises ValueError as ``values``."""
+        assert self._bytes is not None
+        form, signed = self._bytes
+        if len(data) != form.size:
+            raise ValueError(f"{len(data)} bytes where {self} has {form.size}")
+        if not signed:
+            return form.unpack(data)
+        held = list(form.unpack(data))
+        for place, below, r in signed:
+            if held[place] >= below:
+                held[place] = r.signed(held[place])
+        return held
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """In the order of addresses."""
+        return tuple(r.name for r in self._in_order)
 
     @cached_property
     def _in_order(self) -> tuple[Register, ...]:
         return tuple(sorted(self.registers, key=lambda r: r.address))
 
     @cached_property
-    def _bytes(self) -> tuple[struct.Struct, tuple[str, ...], tuple[tuple[str, int, Register], ...]] | None:
+    def _bytes(self) -> tuple[struct.Struct, tuple[tuple[int, int, Register], ...]] | None:
         """How all of it lies in bytes, low first: taken apart at once in each tick. None where cells are no bytes.
 
-        Also the names in that order, and of those with a sign bit name and least raw value that has bits from it on.
+        Also of those with a sign bit place and least raw value that has bits from it on.
         """
         if not all(r.cell_bytes == 1 and r.low_first for r in self.registers):
             return None
@@ -152,8 +164,8 @@ class RegisterSpan:
         for r in self._in_order:
             form += f"{r.address - at}x{_LETTERS[r.type]}"
             at = r.address + r.words
-        signed = tuple((r.name, 1 << r.sign_bit, r) for r in self.registers if r.sign_bit is not None)
-        return struct.Struct(form), tuple(r.name for r in self._in_order), signed
+        signed = tuple((k, 1 << r.sign_bit, r) for k, r in enumerate(self._in_order) if r.sign_bit is not None)
+        return struct.Struct(form), signed
 
     def pack(self, values: Mapping[str, float]) -> list[int]:
         """Cells for values by name; raises ValueError where a register cannot hold its value."""

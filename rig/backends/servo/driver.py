@@ -24,6 +24,7 @@ from rig.backends.servo.bus import Ask, ServoLink, bus_of
 from rig.backends.servo.guardian import Guardian, beat, stopped_by_keeper
 from rig.backends.servo.opening import (
     ServoSetup,
+    await_supply,
     error_words,
     leave_no_trace,
     look,
@@ -89,6 +90,17 @@ class _Way(NamedTuple):
         return self.start + math.copysign(way, self.end - self.start)
 
 
+class _Places(NamedTuple):
+    """Where in a reading each number is; -1: the servo has none."""
+
+    position: int
+    applied: int
+    voltage: int
+    temperature: int
+    torque: int
+    tick: int
+
+
 class ServoDriver(RegisterDriver[Ask]):
     """A servo on a bus behind a transport. Times of samples are in the transport's clock, s.
 
@@ -152,6 +164,10 @@ class ServoDriver(RegisterDriver[Ask]):
         self._late_s = _LATE_S + setup.adapter_s
         self._glance = RegisterSpan(tuple(r for r in self._map.read.registers if r.name in ("applied", "tick")))
         self._before_s = math.nan  # when the drive before the last one acted
+        self._numbers, self._turn = self._read_span.numbers, setup.model.counts_per_turn
+        places = {name: place for place, name in enumerate(self._read_span.names)}
+        self._places = _Places(*(places.get(name, -1) for name in _Places._fields))
+        self._reckons = self._places.tick < 0
 
     # ------------------------------------------------------------------ requests
 
@@ -209,6 +225,7 @@ class ServoDriver(RegisterDriver[Ask]):
         remarks = look(self._link, self._setup, left.others)
         if self._setup.supply_switch and person.asks is not None:
             try_switch(self._link, self._setup, self._store, person.asks)
+            await_supply(self._link, self._setup, person.asks)
             look(self._link, self._setup, remarks)  # it has started anew
             self._is_switch_tried = True
         opened = set_up(self._link, self._setup, self._store, self._have_it_watched)
@@ -260,30 +277,32 @@ class ServoDriver(RegisterDriver[Ask]):
         guardian, setup, idle_s = self._guardian, self._setup, 0.0
         if guardian is not None:
             guardian.waits()  # for as long as the servo's own watchdog may: else the keeper acts just before
-        if not self._steps.is_known:
+        if self._reckons:
             self._dithered = (self._dithered + _GOLDEN) % 1.0
             idle_s = self._dithered * STEP_S
         self._waits.read(self._transport.now_s())
         reply = self._exchange(self._sampling, idle_s)
         if reply.pdu[0] or self._doubted:
             self._check_alert(reply)
-        values = self._values(self._read_span, reply)
-        now_s, units, counts = self._transport.now_s(), self._units, values["position"] - setup.zero_counts
-        applied = values["applied"]
+        told = self._told(reply)
+        _, at_applied, at_voltage, at_temperature, at_torque, at_tick = self._places
+        assert self._position is not None
+        now_s, units, counts = self._transport.now_s(), self._units, self._position - setup.zero_counts
+        applied = told[at_applied]
         try:
-            if values.get("torque", 1) != 1:
+            if at_torque >= 0 and told[at_torque] != 1:
                 self._check_torque()
             if self._steady_s <= now_s + STEP_S and abs(applied - units) <= _STEPS_OFF:
                 self._strange = 0
             else:
                 self._check_duty(applied)
-            supply_V = values["voltage"] * self._voltage_scale
-            if values["temperature"] < setup.hot_degC and self._weak_V <= supply_V <= self._strong_V:
+            voltage, temperature = told[at_voltage], told[at_temperature]
+            if temperature < setup.hot_degC and self._weak_V <= voltage * self._voltage_scale <= self._strong_V:
                 self._bad = 0
             else:
-                self._check_health(values)
-            if "tick" in values:
-                tick = values["tick"]
+                self._check_health(voltage, temperature)
+            if at_tick >= 0:
+                tick = told[at_tick]
                 passed_s, took_s = STEP_S * ((tick - self._tick) % WRAPS), reply.executed_s - self._tick_s
                 self._tick, self._tick_s = tick, reply.executed_s
                 if abs(passed_s - took_s) > _TICK_SLACK_S:  # its clock begins anew where it restarts
@@ -352,7 +371,7 @@ class ServoDriver(RegisterDriver[Ask]):
     @override
     def times_shift_s(self) -> float:
         """0 where the servo's clock tells them."""
-        return 0.0 if self._steps.is_known else super().times_shift_s
+        return super().times_shift_s if self._reckons else 0.0
 
     @property
     def link_words(self) -> Mapping[str, str]:
@@ -407,7 +426,7 @@ class ServoDriver(RegisterDriver[Ask]):
     def _find_steps(self) -> None:
         """Readings at other places within the servo's step each."""
         self._steps, self._waits_s = Steps(), math.inf
-        if not any(register.name == "tick" for register in self._map.others):
+        if self._reckons:
             return
         began_s, apart_s = self._transport.now_s(), STEP_S * (2.0 + 1.0 / _STAGGERED)
         for number in range(_STAGGERED + 1):
@@ -532,42 +551,45 @@ class ServoDriver(RegisterDriver[Ask]):
 
     # ------------------------------------------------------------------ what the values mean
 
-    @override
-    def _values(self, span: RegisterSpan, reply: Reply) -> dict[str, float]:
+    def _told(self, reply: Reply) -> Sequence[int]:
+        """What a reading holds, in the order of addresses; ``_position`` and ``_sampled_s`` are its from now on.
+
+        The position goes on over turns, the first one is within half a turn of zero. Raises Fault SENSOR_JUMP.
+        """
+        self._errors = reply.pdu[0]
         try:
-            self._errors = reply.pdu[0]
-            values = span.values(reply.pdu[1:])
+            told = self._numbers(reply.pdu[1:])
         except ValueError as error:
             raise self._client.misfit(str(error)) from error
-        values["position"] = self._unwrapped(round(values["position"]))
-        if "tick" in values:
-            self._sampled_s = self._step_of(values["tick"], reply)
+        position, turn, last = told[self._places.position], self._turn, self._position
+        if last is None:
+            self._position = position - turn * math.floor((position - self._setup.zero_counts) / turn + 0.5)
         else:
-            self._sampled_s = reply.executed_s - 0.5 * STEP_S
+            step = (position - last + turn // 2) % turn - turn // 2
+            if 2 * abs(step) >= turn // 2 and self._armed:
+                from_zero = last - self._setup.zero_counts
+                words = f"from {from_zero} to {from_zero + step} counts in one tick: {step / turn:+.2f} turns"
+                raise Fault("SENSOR_JUMP", words)
+            self._position = last + step
+        tick = self._places.tick
+        self._sampled_s = self._step_of(told[tick], reply) if tick >= 0 else reply.executed_s - 0.5 * STEP_S
+        return told
+
+    @override
+    def _values(self, span: RegisterSpan, reply: Reply) -> dict[str, float]:
+        values: dict[str, float] = dict(zip(span.names, self._told(reply), strict=True))
+        assert self._position is not None
+        values["position"] = self._position
         return values
 
-    def _step_of(self, tick: float, reply: Reply) -> float:
+    def _step_of(self, tick: int, reply: Reply) -> float:
         """When the servo's step was that a reading tells, s."""
         # every reply waits on its way back as long as the quickest; what one takes beyond that may be before, too
         waits_s = reply.latest_s - reply.executed_s
         if waits_s < self._waits_s:
             self._waits_s = waits_s
         earliest_s = reply.executed_s - (reply.at_most_s - reply.round_trip_s)  # it left as soon as it could
-        return self._steps.take(round(tick), earliest_s, reply.latest_s - self._waits_s)
-
-    def _unwrapped(self, position: int) -> int:
-        """The position over turns, the first one within half a turn of zero. Raises Fault SENSOR_JUMP."""
-        turn, zero, last = self._setup.model.counts_per_turn, self._setup.zero_counts, self._position
-        if last is None:
-            from_zero = position - zero
-            self._position = position - turn * math.floor(from_zero / turn + 0.5)
-            return self._position
-        step = (position - last + turn // 2) % turn - turn // 2
-        if 2 * abs(step) >= turn // 2 and self._armed:
-            words = f"from {last - zero} to {last + step - zero} counts in one tick: {step / turn:+.2f} turns"
-            raise Fault("SENSOR_JUMP", words)
-        self._position = last + step
-        return self._position
+        return self._steps.take(tick, earliest_s, reply.latest_s - self._waits_s)
 
     @override
     def _tick_writing(self, units: int) -> None:
@@ -604,7 +626,11 @@ class ServoDriver(RegisterDriver[Ask]):
 
         Where it is over, nothing comes, or there is no time left to lose an answer, all that took long is taken for the
         answer's way back. What is read is no tick's: if it comes later still, it is not taken for the next reading.
+        A drive that hardly changes has no way to look at: a further exchange would make the next tick late.
         """
+        way = self._ways[-1]
+        if abs(way.end - way.start) <= _STEPS_OFF or self._steady_s <= way.begins_s:
+            return
         if self._waits.left_s(self._transport.now_s()) < LATE_TIMEOUTS * self._timeout_s:
             return
         if self._guardian is not None:
@@ -619,10 +645,11 @@ class ServoDriver(RegisterDriver[Ask]):
             self._replied_s = self._transport.now_s()
             return
         self._replied_s = reply.latest_s
-        at_s, applied = self._step_of(values["tick"], reply) + STEP_S, values["applied"]  # it may be one step ahead
-        if abs(applied - self._ways[-1].end) <= _STEPS_OFF:
+        at_s = self._step_of(round(values["tick"]), reply) + STEP_S  # it may be one step ahead
+        applied = values["applied"]
+        if abs(applied - way.end) <= _STEPS_OFF:
             return
-        way = self._ways.pop()
+        self._ways.pop()
         steps = range(math.ceil(max(at_s - way.begins_s, 0.0) / STEP_S) + 1)
         starts = [(start_s, self._ways[-1].at(start_s)) for start_s in (way.begins_s + k * STEP_S for k in steps)]
         ways = [way._replace(begins_s=begins_s, start=start) for begins_s, start in starts]
@@ -651,7 +678,7 @@ class ServoDriver(RegisterDriver[Ask]):
         if control.unpack(self._stored(control)) != self._map.stop:
             words = f"{control} is on, although rig switched it off"
             raise Fault("SECOND_MASTER" if self._is_off else "STOP_UNCONFIRMED", words)
-        self._check_health(values)
+        self._check_health(values["voltage"], values["temperature"])
 
     @property
     def _asking(self) -> ServoLink:
@@ -686,15 +713,14 @@ class ServoDriver(RegisterDriver[Ask]):
             raise Fault("DEVICE_RESET", f"{words}: {other}")
         raise Fault("SERVO_OVERLOAD", f"{words}: it protects itself, or somebody else drives it")
 
-    def _check_health(self, values: Mapping[str, float]) -> None:
-        setup = self._setup
-        supply_V = values["voltage"] * self._voltage_scale
-        hot, is_fed = values["temperature"] >= setup.hot_degC, self._weak_V <= supply_V <= self._strong_V
+    def _check_health(self, voltage: float, temperature: float) -> None:
+        setup, supply_V = self._setup, voltage * self._voltage_scale
+        hot, is_fed = temperature >= setup.hot_degC, self._weak_V <= supply_V <= self._strong_V
         self._bad = self._bad + 1 if hot or not is_fed else 0
         if self._bad < _IN_A_ROW:
             return
         if hot:
-            raise Fault("SERVO_HOT", f"{values['temperature']:g} degC, daq.servo.hot_degC is {setup.hot_degC}")
+            raise Fault("SERVO_HOT", f"{temperature:g} degC, daq.servo.hot_degC is {setup.hot_degC}")
         raise Fault("SERVO_SUPPLY", f"{supply_V:.1f} V, of {setup.supply_V:g} V")
 
     def _raise_alert(self, said: int) -> None:

@@ -24,6 +24,7 @@ CLEAR_TURNS = bytes((0x01, 0x44, 0x58, 0x4C, 0x22))  # what Clear wants to hear 
 _HEADER = b"\xff\xff\xfd\x00"
 _BEGIN, _STUFFED = b"\xff\xff\xfd", b"\xff\xff\xfd\xfd"
 _TRINOMIAL = 0x8003  # x^15 + x + 1
+_SHORT_BYTES = 41  # of a packet that the folds of ``crc16`` take at once, its CRC not counted
 
 
 class Instruction(IntEnum):
@@ -64,21 +65,34 @@ def crc16(data: bytes) -> int:
 
     The bits are a polynomial, and the CRC is its rest by x^16 + x^15 + x^2 + 1 = (x + 1)(x^15 + x + 1). By the second
     factor x^(15 n) is x^n + 1 where n is a power of 2: about half of all bits are folded onto the others at once. The
-    first one says that the rest has as many ones as the whole, but for an even number. No table: between two ticks the
-    processor has forgotten it.
+    first one says that the rest has as many ones as the whole, but for an even number. No table, and no loop for what a
+    tick brings: between two ticks the processor has forgotten all that it goes through.
     """
     whole = rest = int.from_bytes(data, "big") << 16
-    for far, near in _folds(len(data)):
-        high = rest >> far
-        rest ^= high << far ^ high << near ^ high
+    if len(data) > _SHORT_BYTES:
+        for far, near in _folds(len(data)):
+            high = rest >> far
+            rest ^= high << far ^ high << near ^ high
+    high = rest >> 120  # of 344 bits
+    rest ^= high << 120 ^ high << 8 ^ high
+    high = rest >> 120
+    rest ^= high << 120 ^ high << 8 ^ high
+    high = rest >> 60  # of 120
+    rest ^= high << 60 ^ high << 4 ^ high
+    high = rest >> 30  # of 64
+    rest ^= high << 30 ^ high << 2 ^ high
+    high = rest >> 15  # of 36
+    rest ^= high << 15 ^ high << 1 ^ high
+    high = rest >> 15  # of 22
+    rest ^= high << 15 ^ high << 1 ^ high
     return rest ^ _TRINOMIAL if (rest.bit_count() ^ whole.bit_count()) & 1 else rest
 
 
 @cache
 def _folds(n_data: int) -> list[tuple[int, int]]:
-    """15 n and n of each fold, until 15 bits are left of so many bytes and a CRC."""
+    """15 n and n of each fold, until a short packet's bits are left of so many bytes and a CRC."""
     bits, folds = 8 * n_data + 16, []
-    while bits > 15:  # 15 n bits stay; those above them are folded to 0 and to n
+    while bits > 8 * _SHORT_BYTES + 16:  # 15 n bits stay; those above them are folded to 0 and to n
         bits, n = min((max(15 * n, bits - 14 * n), n) for n in (1 << k for k in range(bits.bit_length())))
         folds.append((15 * n, n))
     return folds

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import Any, Final
 
 from rig.backends.links.usb_adapters import Adapter
@@ -52,7 +53,10 @@ def model_named(name: str, *, is_read: bool = False) -> ServoModel:
     asked = _letters(name)
     found = [plain[asked]] if asked in plain else [plain[one] for one in plain if asked and one.startswith(asked)]
     if not found:
-        raise AnswerError(f"rig knows no servo {name!r}", f"one of {', '.join(sorted(MODELS))}")
+        near = [plain[one].name for one in get_close_matches(asked, plain, n=3)]
+        series = sorted({one.split("-")[0] for one in MODELS})
+        cure = f"did you mean {' or '.join(near)}?" if near else f"a model of one of these: {', '.join(series)}"
+        raise AnswerError(f"rig knows no servo {name!r}", cure)
     if len(found) > 1 and not is_read:
         names = " or ".join(one.name for one in found)
         raise AnswerError(

@@ -39,6 +39,9 @@ _PROOF_S: Final = 0.06  # three times the watchdog's time
 _ACTS_S: Final = 0.05  # until the proof's duty shows
 _FASTEST: Final = 255
 _SWITCH_LOOK_S, _SWITCH_LOOKS = 0.1, 3  # that must agree: one answer may be lost
+_RISES_S: Final = 10.0  # longest wait for the supply behind a switch: its capacitors may be large
+_REBOOTS_S: Final = 3.0
+_LOW: Final = 0x01  # bit of the supply among the errors, of both protocols
 _MARK: Final = 1  # of a register that has another value after a loss of supply, and moves nothing
 
 _ERRORS: Final = {
@@ -170,6 +173,49 @@ def try_switch(link: ServoLink, setup: ServoSetup, store: BeforeStore, asks: Ask
         with contextlib.suppress(Fault):  # without an answer the file keeps it
             link.hold(marked, before)
             store.clear()
+
+
+def await_supply(link: ServoLink, setup: ServoSetup, asks: Asks) -> None:
+    """Wait until the supply behind a closed switch has risen; one that does not within the time is refused later on.
+
+    A servo that was fed too little meanwhile may keep that as an error until it starts anew: so it does, then. It has
+    just lost its supply, so it forgets nothing.
+    Raises Fault LINK_*, SERVO_REFUSED, INTERRUPTED.
+    """
+    voltage, until_s, risen = link.model.role("voltage"), link.now_s() + _RISES_S, 0
+
+    def is_near() -> bool:
+        held = link.value_of(link.bus.id, voltage.name)  # it may still fail again
+        return held is not None and _is_near(held * voltage.scale, link, setup)
+
+    def is_over() -> bool:
+        nonlocal risen
+        risen = risen + 1 if is_near() else 0
+        if risen >= _SWITCH_LOOKS or link.now_s() >= until_s:
+            return True
+        link.client.wait(_SWITCH_LOOK_S)
+        return False
+
+    if not (is_there := is_near()):
+        words = f"the supply of servo {link.bus.id} rises to {setup.supply_V:g} V: rig waits, {_RISES_S:g} s at most"
+        asks(words, is_over)
+        is_there = risen >= _SWITCH_LOOKS
+    if is_there and link.value(link.model.roles["errors"]) == _LOW:
+        start_anew(link)
+
+
+def start_anew(link: ServoLink) -> None:
+    """Reboot it, and wait until it answers. Raises Fault LINK_TIMEOUT, SERVO_REFUSED."""
+    try:
+        link.client.asked(link.bus.reboot(), 0.1)
+    except Fault as fault:
+        if fault.code != "LINK_TIMEOUT" or link.model.protocol != "feetech":  # a Feetech is on its way at once
+            raise
+    until_s = link.now_s() + _REBOOTS_S
+    while link.is_there(link.bus.id) is None:
+        if link.now_s() > until_s:
+            raise Fault("LINK_TIMEOUT", f"servo {link.bus.id} does not answer after its reboot")
+        link.client.wait(0.05)
 
 
 def leave_no_trace(link: ServoLink, setup: ServoSetup, store: BeforeStore) -> Left:
@@ -426,7 +472,7 @@ def _check_supply(link: ServoLink, setup: ServoSetup) -> float:
     model = link.model
     voltage = model.role("voltage")
     supply_V = link.value(model.roles["voltage"]) * voltage.scale
-    if abs(supply_V - setup.supply_V) > _SUPPLY_SHARE * setup.supply_V + 0.5 * voltage.scale:
+    if not _is_near(supply_V, link, setup):
         raise Fault("SERVO_SUPPLY", f"{voltage} reads {supply_V:.1f} V, but drive.supply_V is {setup.supply_V:g} V")
     low_V = link.value(model.roles["low_voltage"]) * model.role("low_voltage").scale
     high_V = link.value(model.roles["high_voltage"]) * model.role("high_voltage").scale
@@ -436,6 +482,12 @@ def _check_supply(link: ServoLink, setup: ServoSetup) -> float:
             f"{supply_V:.1f} V is too near to the servo's own voltage limits, {low_V:.1f} to {high_V:.1f} V",
         )
     return supply_V
+
+
+def _is_near(supply_V: float, link: ServoLink, setup: ServoSetup) -> bool:
+    """Whether it is the config's, as far as the register tells."""
+    most_V = _SUPPLY_SHARE * setup.supply_V + 0.5 * link.model.role("voltage").scale
+    return abs(supply_V - setup.supply_V) <= most_V
 
 
 def _check_heat(link: ServoLink, setup: ServoSetup) -> None:

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from rig.backends.driver import Transport
-from rig.backends.registers.bus import BusClient
 from rig.backends.servo.before import BeforeStore, put_back
-from rig.backends.servo.bus import Ask, ServoLink, servo_link
+from rig.backends.servo.bus import ServoLink, servo_link
 from rig.backends.servo.models import MODELS, ServoModel, models_of
 from rig.backends.servo.opening import (
     check_bus,
@@ -19,6 +18,7 @@ from rig.backends.servo.opening import (
     check_started_anew,
     check_startup,
     objections,
+    start_anew,
 )
 from rig.backends.servo.packets import LAST_ID
 from rig.backends.servo.presence import who_answers
@@ -26,7 +26,6 @@ from rig.core.faults import Fault
 
 USUAL_BAUDS: Final = (1_000_000, 57_600, 115_200)  # rig's own, and as Dynamixel and many boards are shipped
 _KINDS: Final = (MODELS["xl330-m288"], MODELS["sts3215"])  # one of each protocol: all share where the number is
-_REBOOTS_S: Final = 3.0
 _ATTEMPTS: Final = 3
 
 Opened = Callable[[int], AbstractContextManager[Transport]]  # a port at a baud
@@ -113,7 +112,7 @@ def known_servo(port: Transport, id: int, baud: int) -> ServoLink:
     raise Fault("LINK_TIMEOUT", f"no servo {id} answers at {baud} baud; `rig servo scan` shows who does")
 
 
-def reboot(port: Transport, link: ServoLink) -> None:
+def reboot(link: ServoLink) -> None:
     """Start a servo anew, and wait until it answers.
 
     Raises Fault LINK_TIMEOUT, SERVO_REFUSED, SECOND_MASTER, LINK_UNIT; SERVO_SETUP for one that would drive then, or
@@ -122,17 +121,7 @@ def reboot(port: Transport, link: ServoLink) -> None:
     check_bus(link)
     check_others(link)
     check_startup(link)
-    client = BusClient[Ask](port, link.bus)
-    try:
-        client.asked(link.bus.reboot(), 0.1)
-    except Fault as fault:
-        if fault.code != "LINK_TIMEOUT" or link.model.protocol != "feetech":  # a Feetech is on its way at once
-            raise
-    until_s = port.now_s() + _REBOOTS_S
-    while link.is_there(link.bus.id) is None:
-        if port.now_s() > until_s:
-            raise Fault("LINK_TIMEOUT", f"servo {link.bus.id} does not answer after its reboot")
-        client.wait(0.05)
+    start_anew(link)
     check_started_anew(link)
 
 

@@ -43,11 +43,17 @@ class Steps:
         low_s, high_s = earliest_s - self.step_s, latest_s
         old_low_s, old_high_s = self.low_s + passed_s, self.high_s + passed_s
         # where the clocks have moved apart, then by no more than what is between the bounds
-        self.low_s = min(max(old_low_s, low_s), high_s)
-        self.high_s = max(min(old_high_s, high_s), low_s)
+        if old_low_s > high_s:
+            self._moved_s += high_s - old_low_s
+            self.low_s = self.high_s = high_s
+        elif old_high_s < low_s:
+            self._moved_s += low_s - old_high_s
+            self.low_s = self.high_s = low_s
+        else:
+            self.low_s = old_low_s if old_low_s > low_s else low_s
+            self.high_s = old_high_s if old_high_s < high_s else high_s
         self._began_s = 0.5 * (self.low_s + self.high_s)
         self._passed_s += passed_s
-        self._moved_s += min(high_s - old_low_s, 0.0) + max(low_s - old_high_s, 0.0)
         if abs(self._moved_s) > _APART_S:  # less may be the machine
             pace = self.step_s / STEP_S * (1.0 + self._moved_s / max(self._passed_s, STEP_S))
             self.step_s = STEP_S * min(max(pace, _PACES[0]), _PACES[1])

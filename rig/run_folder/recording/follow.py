@@ -171,15 +171,17 @@ class Progress:
         from rich.text import Text
 
         table = Table.grid(padding=(0, 2))
+        so_long = f", {self.still_s:.0f} s" if self.still_s >= COMPUTES_S else ""
         for end, stage, detail in self.done[-most_done:]:
             table.add_row(Text(end, style="green" if end == "done" else "red"), stage, detail)
         if self.ended and draws:
-            table.add_row(Text("now", style="yellow"), "report", "is drawn")
+            what = "the motor is identified, and drawn" if self.fault else "is drawn"
+            table.add_row(Text("now", style="yellow"), "report", f"{what}{so_long}")
         if not self.ended:
             middle = BAR_WIDTH // 2
             mark = middle + round(middle * self.y_rad / self.reach_rad)
             line = "".join("|" if k == mark else "+" if k == middle else "." for k in range(BAR_WIDTH))
-            computes = f"computing, {self.still_s:.0f} s" if self.still_s >= COMPUTES_S else self.detail
+            computes = f"computing{so_long}" if so_long else self.detail
             table.add_row(Text("now", style="yellow"), self.stage, computes)
             table.add_row("", f"{self.t_s:6.1f} s", f"{line}  {self.y_rad:+.2f} rad {self.u_V:+.2f} V")
         return table

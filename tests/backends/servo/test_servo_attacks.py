@@ -223,7 +223,7 @@ def test_a_torque_that_is_refused_for_an_error_is_told_by_its_name(protocol: str
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 @pytest.mark.parametrize("what", [
     lambda bench, link: restore(link, bench.store),
-    lambda bench, link: reboot(bench.bus, link),  # its torque would go: an arm that it holds falls
+    lambda bench, link: reboot(link),  # its torque would go: an arm that it holds falls
     lambda bench, link: set_baud(lambda baud: nullcontext(bench.bus), link, 500_000, bench.store),
 ], ids=["restore", "reboot", "baud"])  # fmt: skip
 def test_nothing_is_put_back_while_another_master_talks(
@@ -521,13 +521,13 @@ def test_a_servo_that_drives_when_it_starts_is_not_rebooted() -> None:
     bench.servo.put("startup_configuration", 1)
     bench.servo._keep(bench.servo.model["startup_configuration"])
     with pytest.raises(Fault, match="SERVO_SETUP"):
-        reboot(bench.bus, bench.driver._link)
+        reboot(bench.driver._link)
     assert not bench.servo.is_on
 
 
 @pytest.mark.parametrize("what", [
     lambda bench, link: (bench.store.save(link.model, 1, {"pwm_limit": 300}), restore(link, bench.store)),
-    lambda bench, link: reboot(bench.bus, link),
+    lambda bench, link: reboot(link),
     lambda bench, link: set_baud(lambda baud: nullcontext(bench.bus), link, 57_600, bench.store),
 ], ids=["restore", "reboot", "baud"])  # fmt: skip
 def test_no_command_is_obeyed_by_a_servo_that_has_the_id_as_its_second(
@@ -646,13 +646,13 @@ def test_a_feetech_that_did_not_hear_of_its_reboot_is_not_told_to_have_done_it(e
     reboots, send = feetech.reboot(bench.own.id), bench.bus.write
     bench.bus.write = lambda data: None if data == reboots else send(data)  # type: ignore[method-assign]
     with pytest.raises(Fault, match="SERVO_ERROR" if error else "SERVO_IN_USE"):
-        reboot(bench.bus, bench.driver._link)
+        reboot(bench.driver._link)
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_a_servo_that_reboots_answers_again(protocol: str) -> None:
     bench = Bench(protocol)
-    reboot(bench.bus, bench.driver._link)
+    reboot(bench.driver._link)
     assert not bench.servo.is_on
 
 

@@ -145,6 +145,45 @@ def test_a_switch_that_leaves_a_part_of_the_supply_cuts_nothing(
     assert bench.registers() == before
 
 
+@pytest.mark.parametrize("tau_s", [0.2, 2.0, math.inf])
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_supply_that_rises_slowly_behind_its_switch_is_waited_for_and_said_so(
+    tau_s: float, protocol: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was refused at once. A Dynamixel that was fed too little meanwhile keeps an error until it starts anew."""
+    bench = Bench(protocol, setup=SWITCH)
+    supply_V, closed_s, asked = bench.setup.supply_V, math.nan, []
+
+    def hand(words: str, is_seen: Callable[[], bool]) -> bool:
+        nonlocal closed_s
+        asked.append(words)
+        if "open" in words:
+            bench.bus.power_off()
+        elif "close" in words:
+            closed_s = bench.bus.now_s() - min(0.5 * tau_s, 1.0)  # at 0.4 of it, or less, the servo begins
+            bench.bus.power_cycle()
+        for _ in range(200):
+            if closed_s > 0.0:
+                risen = 0.6 if tau_s == math.inf else 1.0 - math.exp((closed_s - bench.bus.now_s()) / tau_s)
+                bench.servo.supply(risen * supply_V)
+            if is_seen():
+                return True
+        return False
+
+    monkeypatch.setattr(person, "asks", hand)
+    if tau_s == math.inf:
+        with pytest.raises(Fault, match=r"SERVO_(ERROR|SUPPLY)"):
+            bench.opened()
+        assert bench.bus.now_s() - closed_s < 20.0
+    else:
+        bench.armed()
+        bench.tick(0.3)
+        bench.driver.safe_stop()
+    bench.driver.close()
+    assert f"rises to {supply_V:g} V: rig waits, 10 s at most" in asked[2] or tau_s == 0.2
+    assert bench.wrong() == [] and not bench.servo.is_on
+
+
 class Switch:
     """A supply that changes ahead of a packet: it is cut, and may bounce, or it is another voltage.
 
