@@ -16,7 +16,7 @@ from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.sample_columns import COLUMNS, KINDS, Reads, SampleRow
 from rig.run_folder.recording.servo_law import OwnLoop
 from rig.run_folder.results import MeasuredDelay, RunEvent, RunMeta
-from rig.run_folder.results.reading import DamagedError, parsed
+from rig.run_folder.results.salvage import DamagedError, parsed
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
