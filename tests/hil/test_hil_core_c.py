@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
-from firmware_copy import copied_firmware, make
+from firmware_copy import copied_firmware
 
 from rig.backends.serial.emulated.firmware_build import source_folder
 
 SENT = "void blocks_sent(blocks *b)\n{\n"
+
+
+def make(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    environment = {key: value for key, value in os.environ.items() if key not in ("MAKEFLAGS", "MFLAGS", "MAKELEVEL")}
+    command = ["make", "-s", "-C", str(folder), *words]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
 
 
 def test_the_firmwares_own_tests_pass(tmp_path: Path) -> None:

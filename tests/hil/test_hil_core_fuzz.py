@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
 from evidence import first_of_each
-from firmware_copy import copied_firmware, make
+from firmware_copy import copied_firmware
 
 import fuzz_corpus
 from rig.backends.serial.emulated.firmware_build import source_folder
@@ -127,6 +129,12 @@ DEFECTS = {
 }
 
 STAY = ("P6", "P13")  # beside the first defect of each file
+
+
+def make(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    environment = {key: value for key, value in os.environ.items() if key not in ("MAKEFLAGS", "MFLAGS", "MAKELEVEL")}
+    command = ["make", "-s", "-C", str(folder), *words]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
 
 
 def test_the_corpus_is_what_the_drivers_frames_make_of_it(tmp_path: Path) -> None:
