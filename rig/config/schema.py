@@ -39,7 +39,7 @@ from rig.core.calibration import (
 )
 from rig.core.estimators import ESTIMATORS
 from rig.core.motor_numbers import NUMBERS, PARTS, Number, of_every_bench
-from rig.core.section import Interval, NonNegative, Positive
+from rig.core.section import Interval, NonNegative, Positive, not_zero
 from rig.core.section import Section as _Section
 from rig.core.signals import Limits
 
@@ -454,15 +454,10 @@ class RelayGainsSection(_Section):
 class Hysteretic(_Section):
     """One run of the single relay with hysteresis, from rest at zero (docs/theory.md 5.1)."""
 
-    d_V: float = Field(description="drive; its sign is the direction it starts in; above the breakaway level")
+    d_V: Annotated[float, not_zero("it has to move the shaft from rest")] = Field(
+        description="drive; its sign is the direction it starts in; above the breakaway level"
+    )
     eps_rad: Positive = Field(description="half width of the hysteresis: it switches beyond this position")
-
-    @field_validator("d_V")
-    @classmethod
-    def _drives(cls, d_V: float) -> float:
-        if d_V == 0.0:
-            raise ValueError("must not be 0: it has to move the shaft from rest")
-        return d_V
 
 
 _WITHOUT_UNTIL = ("target", "gains", "cycles", "second_ratio")
@@ -721,7 +716,7 @@ class EmulatedMotor(_Section):
 class EmulatedPotentiometer(_Section):
     """The true potentiometer: straight; by default the line through the end points of sensor.calibration."""
 
-    rad_per_count: float | None = Field(
+    rad_per_count: Annotated[float | None, not_zero("the reading has to change with the position")] = Field(
         None, description="negative: readings fall with position; not 0; default: as sensor.calibration"
     )
     centre_counts: float | None = Field(
@@ -732,13 +727,6 @@ class EmulatedPotentiometer(_Section):
     )
     noise_rad: NonNegative = Field(0.0, description="standard deviation of white noise before quantisation")
     offset_rad: float = Field(0.0, description="true zero against the calibration's")
-
-    @field_validator("rad_per_count")
-    @classmethod
-    def _turns(cls, rad_per_count: float | None) -> float | None:
-        if rad_per_count == 0.0:
-            raise ValueError("must not be 0: the reading has to change with the position")
-        return rad_per_count
 
 
 class EmulatedEncoder(_Section):

@@ -14,6 +14,17 @@ def _rising(interval: tuple[float, float]) -> tuple[float, float]:
     return interval
 
 
+def not_zero(why: str = "") -> AfterValidator:
+    """A number of any sign but 0, which raises ValueError; ``why``: in its words, behind a colon."""
+
+    def checked(number: float | None) -> float | None:
+        if number == 0.0:
+            raise ValueError(f"must not be 0{why and ': '}{why}")
+        return number
+
+    return AfterValidator(checked)
+
+
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Interval = Annotated[tuple[float, float], AfterValidator(_rising)]

@@ -13,7 +13,7 @@ from rig.run_folder.recording.reader import MOST_BYTES, read_object, read_result
 from rig.run_folder.recording.text_file import content_of
 from rig.run_folder.results import Answer, EstimateResult, IdentificationResult, known
 from rig.run_folder.results.identification import Answered
-from rig.run_folder.results.reading import salvaged
+from rig.run_folder.results.salvage import salvaged
 
 _NO_MOTOR = "holds a model that no motor has"
 OF_PLACE = ("centre_rad", "half_travel_rad")  # the part of a frame that another run shares

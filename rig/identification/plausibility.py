@@ -34,6 +34,7 @@ LARGEST_DRIVE_V = 100.0
 SMALL_DRIVE_V, SMALLEST_DRIVE_V = 0.1, 0.02
 LONG_TAU_S, LONGEST_TAU_S = 2.0, 20.0
 SHORT_TAU_S, SHORTEST_TAU_S = 2e-3, 0.5e-3
+FAST_RAD_S = 1000.0  # 9,500 turns a minute; in degrees it would be 170
 GAP_PERIODS = 5.0
 # Of rows that come evenly: how far from a period a step may be, periods; share of such steps; a step of the drive, of
 # the largest one
@@ -129,7 +130,11 @@ def is_cut_off(test: TimeSeries) -> bool:
 
 
 def judge_motor(estimate: Estimate, tests: Sequence[TimeSeries]) -> list[Objection]:
-    """Objections to a fitted motor: a time constant that points to another unit of time."""
+    """Objections to a fitted motor: a time constant that points to another unit of time, a speed to degrees."""
+    return [*_judge_tau(estimate, tests), *_judge_speed(estimate, tests)]
+
+
+def _judge_tau(estimate: Estimate, tests: Sequence[TimeSeries]) -> list[Objection]:
     tau = estimate.tau_s
     period = max(test.period_s for test in tests)
     if tau > LONGEST_TAU_S:
@@ -142,6 +147,19 @@ def judge_motor(estimate: Estimate, tests: Sequence[TimeSeries]) -> list[Objecti
     if tau < SHORT_TAU_S:
         return [Objection("doubtful", f"tau = {tau:.3g} s is very short: is t_s in seconds, not in ks or minutes?")]
     return []
+
+
+def _judge_speed(estimate: Estimate, tests: Sequence[TimeSeries]) -> list[Objection]:
+    """A speed of few motors in steps that are no part of a turn. Where somebody has stated the unit it is a remark."""
+    fast = [test for test in tests if test.stage is None and not divides_a_turn(test.resolution_rad())]
+    fastest_V = max((float(np.abs(test.u_V).max()) for test in fast), default=0.0)
+    fastest_rad_s = abs(estimate.K_rad_s_V) * (fastest_V - estimate.fc_V)
+    if not fastest_rad_s > FAST_RAD_S:
+        return []
+    turns = f"the motor turns at {fastest_rad_s:.4g} rad/s, {9.55 * fastest_rad_s:,.0f} turns a minute"
+    if any(test.units_stated for test in fast):
+        return [Objection("ok", f"{turns}: if that is too fast, are its columns in degrees?", spoils=False)]
+    return [Objection("doubtful", f"{turns}: is y_rad in degrees? {SAY_UNIT}")]
 
 
 def _shortest_tau_s(estimate: Estimate) -> float:

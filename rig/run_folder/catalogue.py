@@ -29,7 +29,7 @@ from rig.run_folder.recording.reader import read_meta, read_result
 from rig.run_folder.recording.text_file import is_folder
 from rig.run_folder.results import RunMeta, RunResult, known
 from rig.run_folder.results.part import Flag, Number, Part, Sometimes, Text, key
-from rig.run_folder.results.reading import DamagedError, parsed
+from rig.run_folder.results.salvage import DamagedError, parsed
 
 
 class ListedRun(Part):

@@ -39,7 +39,7 @@ from rig.run_folder.recording.folder import CONFIG, META
 from rig.run_folder.recording.reader import read_run
 from rig.run_folder.recording.recording import Recording
 from rig.run_folder.recording.writer import EVENTS
-from rig.run_folder.results.reading import DamagedError, parsed
+from rig.run_folder.results.salvage import DamagedError, parsed
 from rig.running.experiment import stages
 from rig.running.experiment.script import BREAKAWAY_LAW, SEARCH_LAW
 from rig.running.experiment.survey import survey, sweep, test_once_more

@@ -12,6 +12,7 @@ import pytest
 import yaml
 from command_line import rig
 from evidence import evidence
+from short_runs import finds_the_truth, short, written
 
 from rig.run_folder.recording.reader import read_run
 
@@ -24,25 +25,9 @@ def example(name: str) -> dict[str, Any]:
     return config
 
 
-def written(config: dict[str, Any], folder: Path) -> Path:
-    path = folder / "changed.yaml"
-    path.write_text(yaml.safe_dump(config), encoding="utf-8")
-    return path
-
-
 def shorter(config: dict[str, Any]) -> dict[str, Any]:
     """Gains given, six cycles at each pair, one short check: half a minute."""
-    config["breakaway"] |= {"ramp_V_s": 0.8, "rest_s": 0.2}
-    config["relay"] = {"gains": GAINS, "cycles": 6}
-    config["tracking"] |= {"duration_s": 3.0, "methods": ["sampled-data"]}
-    return config
-
-
-def finds_the_truth(outcome: dict[str, Any]) -> None:
-    estimate, truth = outcome["estimates"]["sampled-data"], outcome["truth"]
-    for name in ("tau_s", "K_rad_s_V", "fc_V"):
-        assert estimate[name] == pytest.approx(truth[name], rel=0.03)
-    assert outcome["tracking"]["sampled-data"]["rms_rad"] < 0.01
+    return short(config, GAINS, cycles=6, tracking_s=3.0)
 
 
 def searched() -> dict[str, Any]:

@@ -14,6 +14,7 @@ import pytest
 import yaml
 from evidence import evidence
 from processes import PLAIN_RIG
+from short_runs import finds_the_truth, short, written
 
 import whole
 
@@ -33,23 +34,7 @@ def _plain(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def shorter(config: dict[str, Any]) -> dict[str, Any]:
     """Each second is a second here."""
-    config["breakaway"] |= {"ramp_V_s": 0.8, "rest_s": 0.2}
-    config["relay"] = {"gains": GAINS, "cycles": 3}
-    config["tracking"] |= {"duration_s": 2.0, "methods": ["sampled-data"]}
-    return config
-
-
-def written(config: dict[str, Any], folder: Path) -> Path:
-    path = folder / "bench.yaml"
-    path.write_text(yaml.safe_dump(config), encoding="utf-8")
-    return path
-
-
-def finds_the_truth(outcome: dict[str, Any]) -> None:
-    estimate, truth = outcome["estimates"]["sampled-data"], outcome["truth"]
-    for name in ("tau_s", "K_rad_s_V", "fc_V"):
-        assert estimate[name] == pytest.approx(truth[name], rel=0.03)
-    assert outcome["tracking"]["sampled-data"]["rms_rad"] < 0.01
+    return short(config, GAINS, cycles=3, tracking_s=2.0)
 
 
 @pytest.mark.alone

@@ -271,3 +271,24 @@ def test_a_shaft_whose_reading_lags_does_not_turn_against_its_drive() -> None:
         (replace(lagging, delay_s=0.2), 1),
     ):
         assert sum("against its drive" in one.reason for one in judge_records([test], motor)) == said
+
+
+@pytest.mark.parametrize(
+    ("degrees", "stated", "verdicts"),
+    [(True, False, ["doubtful"]), (True, True, ["ok"]), (False, False, []), (None, False, [])],
+)
+def test_degrees_that_a_fine_encoder_reads_show_as_a_speed_of_few_motors(
+    *, degrees: bool | None, stated: bool, verdicts: list[str]
+) -> None:
+    """Of 16,384 counts a turn: in degrees their step divides no turn. A slower motor's speed tells nothing."""
+    turn = 2.0 * np.pi if degrees is False else 360.0
+    y_rad = turn / 16384 * np.round(4000.0 * np.sin(12.0 * to_and_fro(0.0).t_s))
+    K = 20.0 if degrees is None else 126.0
+    test = replace(to_and_fro(0.0), y_rad=y_rad, u_V=12.0 * to_and_fro(0.0).u_V, units_stated=stated)
+    objections = judge_motor(Estimate("sampled-data", 0.08, K, 0.4), [test])
+    assert [one.verdict for one in objections] == verdicts
+    for one in objections:
+        assert "1462 rad/s, 13,958 turns a minute" in one.reason and "in degrees?" in one.reason
+    assert (
+        judge_motor(Estimate("sampled-data", 0.08, K, 0.4), [replace(test, stage=Stage.test(StageKind.RELAY, 1))]) == []
+    )

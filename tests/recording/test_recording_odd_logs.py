@@ -158,7 +158,7 @@ def test_an_odd_log_is_refused_with_options_that_read_it(tmp_path: Path, name: s
             "number them: --time 1:s",
         ),
         (log("", row="2026-01-02 03:04:05.{k:02d},{u},{y:.4f}"), "", "--period 10ms --drive pwm --position counts"),
-        (log("t_s,u_V,y_rad", row=""), "", "has 0 rows; record at least 3"),
+        (log("t_s,u_V,y_rad", row=""), "", "has 0 rows; record at least 22"),
         (
             "t,u,n\n1,,5250\ns\n1,,5250\n20,0,720\n",
             "--time t:s --drive u:V --position n:deg",

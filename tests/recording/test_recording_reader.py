@@ -232,7 +232,7 @@ ROWS = "0,1,0.1\n1,1,0.2\n2,1,0.3\n"
         ("", None, "is empty"),
         ("\n\n", None, "holds no rows"),
         ("t_s,u_V,y_rad", None, "holds no rows"),
-        ("t_s,u_V,y_rad\n0,1,2\n1,1,2\n", 1, "has 2 rows; record at least 3"),
+        ("t_s,u_V,y_rad\n0,1,2\n1,1,2\n", 1, "has 2 rows; record at least 22"),
         ("time,u_V,position\n" + ROWS, 1, "no column t_s, y_rad.*did you mean 'time' for t_s, 'position' for y_rad"),
         ("T_S,u_v,y_rads\n" + ROWS, 1, "did you mean 'T_S' for t_s, 'u_v' for u_V, 'y_rads' for y_rad"),
         ("a,b,c\n" + ROWS, 1, "no column t_s, u_V, y_rad; there are: 'a', 'b', 'c'"),

@@ -16,8 +16,8 @@ from rig.identification import identify
 from rig.run_folder.recording.folder import json_text
 from rig.run_folder.recording.reader import read_result, read_run
 from rig.run_folder.results import Part, RunMeta, RunResult
-from rig.run_folder.results.reading import parsed, unknown_keys
 from rig.run_folder.results.result import schema_text
+from rig.run_folder.results.salvage import parsed, unknown_keys
 from rig.running.experiment import script as experiment
 
 ROOT = Path(__file__).resolve().parents[2]

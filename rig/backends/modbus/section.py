@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 from pydantic import Field, field_validator, model_validator
 
 from rig.core.faults import FAULTS
-from rig.core.section import NonNegative, Positive, Section
+from rig.core.section import NonNegative, Positive, Section, not_zero
 
 Address = Annotated[int, Field(ge=0, le=65535)]
 Word = Annotated[int, Field(ge=0, le=65535)]
@@ -50,15 +50,8 @@ class PositionRegister(Section):
     table: Literal["holding", "input"] = Field(
         "holding", description="read by FC03 (or FC23), or by FC04; echo, applied and status are read beside it"
     )
-    scale: float = Field(1.0, description="counts for one unit of the register; not 0")
+    scale: Annotated[float, not_zero()] = Field(1.0, description="counts for one unit of the register; not 0")
     offset_counts: float = Field(0.0, description="counts where the register is 0")
-
-    @field_validator("scale")
-    @classmethod
-    def _not_zero(cls, scale: float) -> float:
-        if scale == 0.0:
-            raise ValueError("must not be 0")
-        return scale
 
 
 class SequenceRegisters(Section):

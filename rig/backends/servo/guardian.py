@@ -1,4 +1,4 @@
-"""Who stops a servo if the process that drives it dies or hangs, as a driver sees it."""
+"""The keeper of a servo as its driver sees it: who stops it if the driver's process dies or hangs."""
 
 from __future__ import annotations
 

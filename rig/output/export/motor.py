@@ -17,7 +17,7 @@ from rig.model.real_motor import FramedMotor
 from rig.output.export.whole_run import ExportedRun
 from rig.run_folder.recording.text_file import content_of
 from rig.run_folder.recording.writer import SAMPLES
-from rig.run_folder.results import Answer, JsonObject, whole
+from rig.run_folder.results import Answer, FoundLawResult, JsonObject, known, whole
 from rig.run_folder.results.answer_words import validity
 
 # What the estimate calls what the motor calls otherwise.
@@ -116,20 +116,11 @@ class KnownNumber:
         return ", ".join([*parts, self.meaning])
 
 
-@dataclass(frozen=True)
-class LawInWords:
-    """A law that the tests show: its name, its size and the interval of its size."""
-
-    name: str
-    value: float
-    unit: str
-    ci95: tuple[float, float] | None
-
-    def words(self) -> str:
-        """In one line."""
-        unit = f" {self.unit}" if self.unit != "1" else ""
-        interval = f", 95 % {self.ci95[0]:.4g} to {self.ci95[1]:.4g}" if self.ci95 is not None else ""
-        return f"{self.name} {self.value:.4g}{unit}{interval}"
+def law_words(law: FoundLawResult) -> str:
+    """A law that the tests show, in one line: its name, its size and the interval of its size."""
+    unit = f" {law.unit}" if law.unit != "1" else ""
+    interval = f", 95 % {ci95[0]:.4g} to {ci95[1]:.4g}" if (ci95 := whole(law.ci95)) is not None else ""
+    return f"{law.name} {known(law.value):.4g}{unit}{interval}"
 
 
 @dataclass(frozen=True)
@@ -146,7 +137,7 @@ class IdentifiedMotor:
     framed: FramedMotor
     delay_s: float
     numbers: tuple[KnownNumber, ...]
-    laws: tuple[LawInWords, ...]
+    laws: tuple[FoundLawResult, ...]
     provenance: Provenance
     correlation: float | None
     lacks: Mapping[str, str]
@@ -179,7 +170,12 @@ class IdentifiedMotor:
             "holds": list(source.holds),
             "numbers": {one.name: one.as_json() for one in self.numbers},
             "laws": [
-                {"name": law.name, "value": law.value, "unit": law.unit, "ci95": law.ci95 and list(law.ci95)}
+                {
+                    "name": law.name,
+                    "value": law.value,
+                    "unit": law.unit,
+                    "ci95": (ci95 := whole(law.ci95)) and list(ci95),
+                }
                 for law in self.laws
             ],
             "lacks": dict(self.lacks),
@@ -187,12 +183,12 @@ class IdentifiedMotor:
 
     def head(self) -> list[str]:
         """What a file says first: source, laws, and what it lacks."""
-        found = [f"Laws beyond Coulomb friction: {'; '.join(law.words() for law in self.laws) or 'none'}."]
+        found = [f"Laws beyond Coulomb friction: {'; '.join(map(law_words, self.laws)) or 'none'}."]
         return [*self.provenance.lines(), *found, *self.lacks_in_words()]
 
     def lacks_in_words(self) -> list[str]:
         """One line for each law that the tool cannot express: its size, and what follows."""
-        sizes = {law.name: law.words() for law in self.laws}
+        sizes = {law.name: law_words(law) for law in self.laws}
         return [f"LACKS {sizes.get(name, name)}: {why}" for name, why in self.lacks.items()]
 
 
@@ -203,9 +199,7 @@ def identified_motor(run_folder: Path, run: ExportedRun) -> IdentifiedMotor:
     """
     framed, answer = known_model(run_folder, math.inf), run.result.answer
     assert answer is not None  # it is where the model comes from
-    laws = tuple(
-        LawInWords(law.name, law.value, law.unit, whole(law.ci95)) for law in answer.law or () if law.value is not None
-    )
+    laws = tuple(law for law in answer.law or () if law.value is not None)
     meta, samples = run.recording.meta, run_folder / SAMPLES
     provenance = Provenance(
         run_folder.resolve().name,

@@ -10,7 +10,7 @@ import math
 from xml.sax.saxutils import escape, quoteattr
 
 from rig.model.real_step import mean_cosine
-from rig.output.export.motor import IdentifiedMotor
+from rig.output.export.motor import IdentifiedMotor, law_words
 from rig.output.export.tool import NOT_RIGID, Tool, python_file, rendered
 from rig.output.export.whole_run import ExportedRun
 
@@ -87,7 +87,7 @@ def _about(motor: IdentifiedMotor, alone: list[str]) -> dict[str, str]:
         "run": source.run,
         "record_sha256": source.record_sha256 or "",
         "verdict": source.verdict,
-        "laws": "; ".join(law.words() for law in motor.laws) or "none",
+        "laws": "; ".join(map(law_words, motor.laws)) or "none",
         "lacks": "; ".join([*alone, *motor.lacks_in_words()]) or "nothing",
     }
 

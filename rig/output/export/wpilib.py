@@ -13,7 +13,7 @@ from rig.output.export.motor import IdentifiedMotor, KnownNumber
 from rig.output.export.tool import NOT_RIGID, Tool
 from rig.output.export.whole_run import ExportedRun
 from rig.run_folder.recording.folder import json_text
-from rig.run_folder.results import JsonObject
+from rig.run_folder.results import JsonObject, whole
 
 LACKS = NOT_RIGID | {
     "dead_band": "it is in kS, which is right while the drive has the sign of the velocity",
@@ -51,7 +51,7 @@ def gains(motor: IdentifiedMotor) -> JsonObject:
     constant_V = -m.bias_V
     if force_V > 0.0:
         constant_V -= m.force_cos_V * mean_cosine(motor.framed.frame)
-        interval = next((law.ci95 for law in motor.laws if law.name == "force_over_position"), None)
+        interval = next((whole(law.ci95) for law in motor.laws if law.name == "force_over_position"), None)
         simple["kG"] = _gain(force_V, "V", interval, None)
         # s sin q + c cos q = kG cos(q - atan2(s, c)), with q from the middle of the travel
         offset = -motor.framed.frame.centre_rad - math.atan2(m.force_sin_V, m.force_cos_V)

@@ -14,7 +14,7 @@ from rig.model.real_motor import FramedMotor
 from rig.output.report.source import ReportedRun
 from rig.output.report.style import INK, LIMIT, MEASURED, MUTED, AbsentError, Picture, colour, new_figure, note, render
 from rig.run_folder.results import DrivenModel, known
-from rig.run_folder.results.reading import DamagedError, parsed
+from rig.run_folder.results.salvage import DamagedError, parsed
 
 DECAY_S = 1.5  # of a check that is shown; by then k1 and k2 of use have taken the offset away
 

@@ -37,7 +37,7 @@ from rig.run_folder.results import (
 )
 from rig.run_folder.results.estimates import LARGEST
 from rig.run_folder.results.meta import REHEARSAL
-from rig.run_folder.results.reading import salvaged
+from rig.run_folder.results.salvage import salvaged
 
 _P = TypeVar("_P", bound=Part)
 _T = TypeVar("_T")

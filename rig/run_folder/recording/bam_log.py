@@ -22,7 +22,7 @@ from rig.core.strict_json import JsonError
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.log_file import servo_recording
 from rig.run_folder.recording.log_format import LogFormat
-from rig.run_folder.recording.recording import Recording
+from rig.run_folder.recording.recording import FIT_ROWS, Recording
 from rig.run_folder.recording.servo_law import SCALES, ServoLaw
 from rig.run_folder.recording.text_file import content_of, text_of
 from rig.run_folder.results import JsonObject
@@ -33,7 +33,6 @@ _MOST_VALUES: Final = 10_000_000  # nine of an entry: an hour and a half at 200 
 # shipped (ROBOTIS e-Manual; of an STS3215 no manual says): BAM writes P alone
 _MOTORS: Final = {"xl330": ("dynamixel", 140 * 1.977, True), "sts3215": ("feetech", math.inf, False)}
 _NUMBERS: Final = ("timestamp", "position", "goal_position")
-_FEWEST_ROWS: Final = 22
 
 
 def read_bam_log(path: Path, log: LogFormat | None = None) -> Recording | None:
@@ -93,7 +92,7 @@ def _rows(path: Path, entries: Sequence[JsonValue]) -> list[JsonObject]:
             raise RecordingError(path, f"the torque_enable of entry {number} is neither true nor false", "correct it")
     stretches = [list(group) for on, group in groupby(rows, lambda one: bool(one.get("torque_enable", True))) if on]
     longest = max(stretches, key=len, default=[])
-    if len(longest) < _FEWEST_ROWS:
+    if len(longest) < FIT_ROWS:
         raise RecordingError(path, f"has {len(longest)} entries in a row with the torque on", "record more")
     return longest
 

@@ -31,7 +31,7 @@ from rig.run_folder.recording.log_format import (
 )
 from rig.run_folder.recording.log_lines import is_date, is_number, shown
 from rig.run_folder.recording.log_mends import in_order, once, runs_of, unwrapped_clock
-from rig.run_folder.recording.recording import MIN_ROWS, Columns, Recording, assembled, require_rising
+from rig.run_folder.recording.recording import FIT_ROWS, MIN_ROWS, Columns, Recording, assembled, require_rising
 from rig.run_folder.recording.sample_columns import COLUMNS
 
 REQUIRED: Final = ("t_s", "u_V", "y_rad")
@@ -101,7 +101,7 @@ def _parsed(
     row_numbers = text.rows
     header = _parse_header(text)
     if len(row_numbers) < MIN_ROWS:
-        raise RecordingError(path, f"has {len(row_numbers)} rows", f"record at least {MIN_ROWS}", text.line)
+        raise RecordingError(path, f"has {len(row_numbers)} rows", f"record at least {FIT_ROWS}", text.line)
     text = text.with_decimal_points()
     _refuse_other_units(text, header)
     table = CsvTable(text, header, header, row_numbers, frozenset(REQUIRED))

@@ -22,7 +22,7 @@ from rig.run_folder.recording.sample_columns import COLUMNS
 from rig.run_folder.results import Answer, Part, known
 from rig.run_folder.results.estimates import LARGEST
 from rig.run_folder.results.part import VERSION, Count, Number, Text
-from rig.run_folder.results.reading import DamagedError, parsed
+from rig.run_folder.results.salvage import DamagedError, parsed
 
 _SAME: Final = 1e-6  # relative: so near are the answers of two processors to the same rows
 _NUMBERS: Final = ("tau_s", "K_rad_s_V", "fc_V")

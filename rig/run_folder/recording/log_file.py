@@ -37,12 +37,20 @@ from rig.run_folder.recording.log_format import (
     words_of,
 )
 from rig.run_folder.recording.log_lines import is_number, shown
-from rig.run_folder.recording.recording import MIN_ROWS, Columns, Floats, Integers, Recording, assembled, require_rising
+from rig.run_folder.recording.recording import (
+    FIT_ROWS,
+    MIN_ROWS,
+    Columns,
+    Floats,
+    Integers,
+    Recording,
+    assembled,
+    require_rising,
+)
 from rig.run_folder.recording.sample_columns import Reads
 from rig.run_folder.recording.servo_law import OwnLoop, ServoLaw
 
 _LONGEST_PERIOD_S, _SHORTEST_PERIOD_S = 0.5, 20e-6  # between samples; rig/identification/plausibility.py refuses others
-_FEWEST_ROWS = 22  # fewer are no recording to be fitted
 _SIGNED = 0.05  # of the largest drive: a smaller negative one may be noise of a size
 # Of a drive whose middle is 0 V: of full drive, how far that is from the half; of all motion, the way back; and how
 # drive and motion are correlated
@@ -65,7 +73,7 @@ def read_log(path: Path, log: LogFormat) -> list[Recording]:
     """
     text = CsvText.of(path)
     if len(text.rows) < MIN_ROWS:
-        raise RecordingError(path, f"has {len(text.rows)} rows", f"record at least {MIN_ROWS}", text.line)
+        raise RecordingError(path, f"has {len(text.rows)} rows", f"record at least {FIT_ROWS}", text.line)
     text = text.with_decimal_points()
     first, rows, has_names = text.header, text.rows, bool(text.names)
     choices = log.columns()
@@ -156,7 +164,7 @@ def _recording(source: Path, raw: Columns, rows: Sequence[int], log: LogFormat, 
         seen = np.flatnonzero(np.isfinite(raw["y_rad"]))
         if seen.size < MIN_ROWS:
             raise RecordingError(
-                source, f"has {seen.size} rows with a position in a run", f"record at least {MIN_ROWS}", rows[0]
+                source, f"has {seen.size} rows with a position in a run", f"record at least {FIT_ROWS}", rows[0]
             )
         if seen.size < t_s.size:
             steps = (t_s, u_V)
@@ -330,7 +338,7 @@ def _drive_V(path: Path, u: Floats, one: LogColumn, log: LogFormat, rows: Sequen
             rows[k],
         )
     largest = float(np.abs(u).max())
-    if most is not None and most >= _NO_DUTY and largest <= 1.0 and u.size >= _FEWEST_ROWS and np.any(u != np.round(u)):
+    if most is not None and most >= _NO_DUTY and largest <= 1.0 and u.size >= FIT_ROWS and np.any(u != np.round(u)):
         cause = f"the drive is a fraction, at most {largest:g}, and in {one.unit} full drive is {most:g}"
         raise RecordingError(path, cause, "give the unit that it is in, such as --drive COLUMN:duty", rows[0])
     if most is not None and one.unit == "pwm" and largest in _FULL and largest < most:
@@ -363,7 +371,7 @@ def _refuse_several(text: CsvText, rows: Sequence[int], t: Floats, others: set[i
 def _refuse_middle(path: Path, u: Floats, y: Floats, full: float | None, rows: Sequence[int]) -> None:
     """Refuse a drive evenly about half of full drive, or 1500 us of a pulse, never near 0, that turns both ways."""
     middle = 0.5 * (float(u.min()) + float(u.max()))
-    if full is None or u.size < _FEWEST_ROWS or u.min() < _SIGNED * full:
+    if full is None or u.size < FIT_ROWS or u.min() < _SIGNED * full:
         return
     zeros = (0.5 * full, _PULSE_US) if _PULSE_US < full < 2.0 * _PULSE_US else (0.5 * full,)
     if all(abs(middle - zero) > _HALF * full for zero in zeros):
@@ -495,7 +503,7 @@ def _refuse_other_units(
 def _refuse_other_clock(path: Path, t_s: Floats, given: LogColumn) -> None:
     """Refuse times in a unit in which no log of a motor has its samples, where another unit would do."""
     period_s = float(np.median(np.diff(t_s)))
-    if t_s.size < _FEWEST_ROWS or _SHORTEST_PERIOD_S <= period_s <= _LONGEST_PERIOD_S:
+    if t_s.size < FIT_ROWS or _SHORTEST_PERIOD_S <= period_s <= _LONGEST_PERIOD_S:
         return
     units = {unit: s for unit, s in UNITS["time"].items() if s is not None}
     scaled = {unit: period_s * s / units[given.unit] for unit, s in units.items()}

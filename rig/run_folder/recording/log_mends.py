@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from rig.run_folder.recording.log_format import LARGEST
-from rig.run_folder.recording.recording import Columns, Floats, Integers
+from rig.run_folder.recording.recording import FIT_ROWS, Columns, Floats, Integers
 
 _UNEVEN = 0.05  # scatter of the time between rows, over that: by chance no sample is whole steps then
 _FEW_STEPS, _FEWEST_MOVES = 10.5, 10  # of a counter, between two rows, for a velocity to show them
@@ -34,7 +34,6 @@ _COVERS, _MOVES, _NEARLY, _WIDE = 0.8, 0.35, 0.99, 16
 _SHOWN_S: Final = (1.0, 10.0, 60.0, 100.0, 1000.0, 3600.0, 43200.0, 86400.0)
 _WRAP_PERIODS = 3.0  # longest step over the end of a clock
 _TURNS_ON = 0.2  # of the largest step of a position: by so much a shaft turns over the end of a clock
-_FEWEST_ROWS = 22  # of a run in a file of several: fewer are rows out of order
 _COUNTS, _JUMPS = 0.9, 1.3  # share of rows in which a counter of rows rises; of the largest other bend, a jump back
 _FAR_ROWS = 5  # that rows out of order may be from their place
 _FALLS = 0.2  # share of rows in which the time since the row before is shorter than that of the row before
@@ -103,7 +102,7 @@ def _is_sure(y: Floats, at: Integers) -> bool:
     """Whether there are rows enough, and a column changes after these rows by no more than it does elsewhere."""
     steps = np.abs(np.diff(y))
     usual = float(np.max(np.delete(steps, at), initial=0.0))
-    return y.size >= _FEWEST_ROWS and (usual == 0.0 or bool(np.all(steps[at] <= 1.5 * usual)))
+    return y.size >= FIT_ROWS and (usual == 0.0 or bool(np.all(steps[at] <= 1.5 * usual)))
 
 
 def in_order(columns: Columns, lines: Sequence[int], notes: list[str]) -> tuple[Columns, Sequence[int]]:
@@ -139,7 +138,7 @@ def added_up(t: Floats, notes: list[str]) -> Floats:
 
     No clock of rows in order goes back so often.
     """
-    if t.size < _FEWEST_ROWS or t[1:].min() <= 0.0 or float(np.mean(np.diff(t) < 0.0)) < _FALLS:
+    if t.size < FIT_ROWS or t[1:].min() <= 0.0 or float(np.mean(np.diff(t) < 0.0)) < _FALLS:
         return t
     notes.append("each time is that since the row before: they were added up")
     return np.asarray(np.cumsum(t))
@@ -158,9 +157,9 @@ def runs_of(t: Floats) -> list[slice]:
     near = _BEGINS_PERIODS * float(np.median(np.abs(np.diff(t))))
     begins = t[back]
     begin_again = bool(np.all((np.abs(begins - t[0]) <= near) | (np.abs(begins) <= near)))
-    if edges[1] < _FEWEST_ROWS < t.size - edges[1] and back.size == 1 and abs(begins[0]) <= near:
+    if edges[1] < FIT_ROWS < t.size - edges[1] and back.size == 1 and abs(begins[0]) <= near:
         return [slice(edges[1], t.size)]
-    if not begin_again or min(np.diff(edges)) < _FEWEST_ROWS:
+    if not begin_again or min(np.diff(edges)) < FIT_ROWS:
         return [slice(0, t.size)]
     return [slice(first, stop) for first, stop in pairwise(edges)]
 
@@ -173,17 +172,17 @@ def runs_without_time(y: Floats, begins: Sequence[int], others: Iterable[Floats]
     others  columns not read; one that rises in most rows, and then falls to where it began, counts the rows of a run
     """
     edges = [0, *begins, y.size]
-    if not begins or min(np.diff(edges)) < _FEWEST_ROWS:
+    if not begins or min(np.diff(edges)) < FIT_ROWS:
         counters = [runs_of(one) for one in others if np.mean(np.diff(one) > 0.0) > _COUNTS]
         edges = [0, *(run.stop for run in max(counters, key=len, default=[slice(0, y.size)]))]
-    if len(edges) == 2 and y.size > _FEWEST_ROWS and np.isfinite(y).all():
+    if len(edges) == 2 and y.size > FIT_ROWS and np.isfinite(y).all():
         bends = np.abs(np.diff(y, 2, prepend=y[0], append=y[-1]))
         off = np.maximum(bends[:-1], bends[1:])  # of the steps into row 1, 2, ... from those beside it
         again = np.flatnonzero((y[1:] == y[0]) & (off > 0.0))
         beside = np.clip([again - 1, again, again + 1], 0, off.size - 1)
         usual = float(np.delete(off, beside).max(initial=0.0))
         edges = [0, *(again[off[again] > _JUMPS * usual] + 1).tolist(), y.size]
-        edges = edges if min(np.diff(edges)) >= _FEWEST_ROWS else [0, y.size]
+        edges = edges if min(np.diff(edges)) >= FIT_ROWS else [0, y.size]
     return [slice(first, stop) for first, stop in pairwise(edges)]
 
 

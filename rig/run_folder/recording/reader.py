@@ -33,7 +33,7 @@ from rig.run_folder.recording.recording import MIN_ROWS, Recording, from_columns
 from rig.run_folder.recording.text_file import content_of, is_folder, line_of, text_of, whole_content, without_torn_line
 from rig.run_folder.recording.writer import EVENTS, SAMPLES
 from rig.run_folder.results import JsonObject, Part, RunEvent, RunMeta, RunResult
-from rig.run_folder.results.reading import remarks, salvaged
+from rig.run_folder.results.salvage import remarks, salvaged
 
 _MOST_EVENTS: Final = 100_000  # a run has some hundreds; each becomes an object
 MOST_BYTES: Final = 20_000_000  # of a file beside the rows; ours have some thousands

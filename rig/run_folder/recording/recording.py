@@ -16,7 +16,7 @@ from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.sample_columns import COLUMNS, KINDS, Reads, SampleRow
 from rig.run_folder.recording.servo_law import OwnLoop
 from rig.run_folder.results import MeasuredDelay, RunEvent, RunMeta
-from rig.run_folder.results.reading import DamagedError, parsed
+from rig.run_folder.results.salvage import DamagedError, parsed
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -25,6 +25,7 @@ Column = NDArray[Any]
 Columns = dict[str, Column]
 
 MIN_ROWS: Final = 3
+FIT_ROWS: Final = 22  # of a run that can be fitted: fewer are none
 # A coarse clock goes on by the same tick, within this share of it, but for this share of the rows; of so many periods
 ONE_TICK, STANDS, SLOW = 0.2, 0.1, 1.5
 # Periods by which stamps of even rows scatter about where they belong; or in each part of the rows one is on time

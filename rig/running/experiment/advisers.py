@@ -16,11 +16,10 @@ from rig.identification.live import NORMAL_95, LiveSettings
 from rig.identification.noise import noise_at_rest
 from rig.identification.stated_errors import StatedErrors
 from rig.model.real_motor import FramedMotor
-from rig.running.experiment.live_process import LiveProcess
+from rig.running.experiment.live_process import ADVICE_EVERY_S, LiveProcess
 from rig.running.preflight.planned_tests import reading_of, room_of_tests
 from rig.running.session import Session
 
-ADVICE_EVERY_S = 1.0
 SMALLEST_TURN_LSB = 20.0  # as a relay test's smallest cycle
 
 

@@ -17,6 +17,7 @@ from rig.backends.servo.emulated.faults import ReplyFault
 from rig.backends.servo.emulated.servo import ServoOptions
 from rig.backends.servo.emulated.virtual_bus import VirtualServoBus
 from rig.backends.servo.packets import Skipped
+from rig.backends.servo.registers import servo_map
 from rig.core.faults import Fault
 
 AT_ONCE = {"return_delay_time": 0}
@@ -25,6 +26,12 @@ HOSTS = [DynamixelHost, FeetechHost]
 
 def _others(host: type[Host], *ids: int) -> list[ServoOptions]:
     return [ServoOptions(model=host.default, id=id, registers=AT_ONCE) for id in ids]
+
+
+def telemetry(host: Host) -> Any:
+    """The read of a tick."""
+    read = servo_map(host.model).read
+    return host.codec.read(1, read.address, read.words)
 
 
 def _ids(answers: list[Any]) -> list[int]:
@@ -37,12 +44,11 @@ def test_an_exchange_takes_its_bytes(kind: type[Host]) -> None:
     for baud, delay, adapter_s in ((1_000_000, 0, 0.0), (115_200, 100, 0.001)):
         line = LineTimes(baud=baud, adapter_s=adapter_s)
         host = kind(bus={"line": line}, baud=baud, registers={"return_delay_time": delay})
-        address, length = host.model.telemetry
-        asked = host.codec.read(1, address, length)
+        asked = telemetry(host)
         begins_s = host.bus.now_s()
         host.bus.write(asked)
         answer = host.bus.read(1.0)
-        assert len(answer) == host.codec.reply_bytes(length)
+        assert len(answer) == host.codec.reply_bytes(servo_map(host.model).read.words)
         wire_s = 10 * (len(asked) + len(answer)) / baud
         assert host.bus.now_s() - begins_s == pytest.approx(wire_s + 2e-6 * delay + adapter_s, abs=1e-9)
 
@@ -51,13 +57,11 @@ def test_an_exchange_takes_its_bytes(kind: type[Host]) -> None:
 def test_a_duty_and_a_read_go_out_together(kind: type[Host]) -> None:
     host = kind(registers=AT_ONCE)
     drive = host.model.role("drive")
-    both = further_requests.sync_write(host.codec, drive.address, {1: drive.pack(0)}) + host.codec.read(
-        1, *host.model.telemetry
-    )
+    both = further_requests.sync_write(host.codec, drive.address, {1: drive.pack(0)}) + telemetry(host)
     assert len(host.ask(both)) == 1
     assert [type(heard.frame).__name__ for heard in host.bus.bus.log] == ["Frame", "Frame"]
     first, second = (heard.t_s for heard in host.bus.bus.log)
-    assert second - first == pytest.approx(10 * len(host.codec.read(1, *host.model.telemetry)) / 1e6)
+    assert second - first == pytest.approx(10 * len(telemetry(host)) / 1e6)
     assert host.bus.bus.collisions == 0
 
 
@@ -126,7 +130,7 @@ def test_another_baud_is_not_heard(kind: type[Host]) -> None:
 @pytest.mark.parametrize("kind", HOSTS)
 def test_who_speaks_meanwhile_damages_both(kind: type[Host]) -> None:
     host = kind(registers={"return_delay_time": 100})
-    host.bus.write(host.codec.read(1, *host.model.telemetry))
+    host.bus.write(telemetry(host))
     host.sleep(0.0004)
     taken = host.ask(host.codec.ping(1))
     assert all(isinstance(t, Skipped) for t in taken) and host.bus.bus.collisions == 1
@@ -140,9 +144,9 @@ def test_who_speaks_meanwhile_damages_both(kind: type[Host]) -> None:
 @pytest.mark.parametrize("kind", HOSTS)
 def test_another_master_is_heard_by_all(kind: type[Host]) -> None:
     host = kind(registers=AT_ONCE)
-    host.bus.bus.another_master(host.codec.read(1, *host.model.telemetry), 0.01)
-    assert host.bus.read(1.0) == host.codec.read(1, *host.model.telemetry)
-    assert len(host.bus.read(1.0)) == host.codec.reply_bytes(host.model.telemetry[1])
+    host.bus.bus.another_master(telemetry(host), 0.01)
+    assert host.bus.read(1.0) == telemetry(host)
+    assert len(host.bus.read(1.0)) == host.codec.reply_bytes(servo_map(host.model).read.words)
 
 
 @pytest.mark.parametrize("kind", HOSTS)

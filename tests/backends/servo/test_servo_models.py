@@ -67,8 +67,8 @@ def test_a_table_is_whole(model: ServoModel) -> None:
         for value in (register.shipped, register.low, register.high):
             if value is not None:
                 assert register.unpack(register.pack(value)) == value
-    address, length = model.telemetry
-    seen = model.unpack(bytes(length), address)
+    read = servo_map(model).read
+    seen = model.unpack(bytes(read.words), read.address)
     assert {model.roles[role] for role in ("position", "applied", "velocity", "voltage", "temperature")} <= seen.keys()
     assert model.is_eeprom(model.role("mode")) and not model.is_eeprom(model.role("torque"))
     assert model["model_number"].shipped == model.number
@@ -104,13 +104,6 @@ def test_kinds(kind: str, value: int, raw: str) -> None:
             register.pack(beyond)
     with pytest.raises(ValueError, match="bytes, not"):
         register.unpack(bytes(9))
-
-
-def test_a_span_is_one_read() -> None:
-    model = MODELS["sts3215"]
-    assert model.span("present_position", "present_current") == model.telemetry
-    with pytest.raises(KeyError):
-        model.span("goal_pwm")
 
 
 @pytest.mark.parametrize("name", ["xl330-m288", "sts3215"])

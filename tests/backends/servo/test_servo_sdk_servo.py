@@ -11,6 +11,7 @@ from sdk_servo import K_RAD_S_V, SdkServo
 from rig.backends.servo import dynamixel, feetech
 from rig.backends.servo.models import MODELS
 from rig.backends.servo.packets import Skipped
+from rig.backends.servo.registers import servo_map
 
 KINDS = {"dynamixel": (dynamixel, MODELS["xl330-m288"], 16), "feetech": (feetech, MODELS["sts3215"], 2)}
 
@@ -41,14 +42,14 @@ def test_a_duty_and_what_comes_of_it(protocol: str) -> None:
     for role, value in (("drive", 0), ("torque", 1)):
         write(role, value)
     duty = round(0.4 * model.full_drive)
-    drive = model.role("drive")
+    drive, read = model.role("drive"), servo_map(model).read
     for _ in range(100):
         both = further_requests.sync_write(codec, drive.address, {1: drive.pack(-duty)}) + codec.read(
-            1, *model.telemetry
+            1, read.address, read.words
         )
         (status,) = ask(both)
         servo.sleep_until(servo.now_s() + 0.01)
-    values = model.unpack(status.data, model.telemetry[0])
+    values = model.unpack(status.data, read.address)
     assert values[model.roles["applied"]] == -duty and values[model.roles["voltage"]] == 50
     speed = values[model.roles["velocity"]] * model.role("velocity").scale
     assert speed == pytest.approx(-K_RAD_S_V * (0.4 * servo.supply_V - 0.1), rel=0.02)

@@ -8,7 +8,6 @@ Reading a gap brings 0. Indirect addresses, backup and profiles are not emulated
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from types import MappingProxyType
 
 from rig.backends.servo import dynamixel
@@ -23,8 +22,7 @@ from rig.backends.servo.dynamixel import (
     Instruction,
     Status,
 )
-from rig.backends.servo.emulated.servo import EmulatedServo, ServoOptions
-from rig.backends.servo.emulated.violation import Violation
+from rig.backends.servo.emulated.servo import EmulatedServo
 from rig.backends.servo.models import Register
 from rig.backends.servo.models.control_table import SHADOW_OFF
 
@@ -50,16 +48,7 @@ class DynamixelServo(EmulatedServo):
         }
     )  # fmt: skip
 
-    def __init__(
-        self,
-        options: ServoOptions,
-        violated: Callable[[Violation], None],
-        on_output: Callable[[float, float], None] | None = None,
-    ) -> None:
-        self._heard_s = 0.0
-        self._is_shut_down = False
-        self._turn_counts = 0
-        super().__init__(options, violated, on_output)
+    _heard_s, _is_shut_down, _turn_counts = 0.0, False, 0
 
     def _begin(self, t_s: float) -> None:
         super()._begin(t_s)

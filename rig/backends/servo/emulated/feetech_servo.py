@@ -7,12 +7,10 @@ Modes: 2 drives the duty; 0 holds a position by its P gain alone; in the others 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from types import MappingProxyType
 
 from rig.backends.servo import feetech
-from rig.backends.servo.emulated.servo import TICK_S, EmulatedServo, ServoOptions
-from rig.backends.servo.emulated.violation import Violation
+from rig.backends.servo.emulated.servo import TICK_S, EmulatedServo
 from rig.backends.servo.feetech import CURRENT, HEAT, OVERLOAD, VOLTAGE, Frame, Instruction, Status
 from rig.backends.servo.models import Register
 from rig.backends.servo.models.sts import MANY_TURNS, STEPS_PER_SECOND
@@ -38,16 +36,7 @@ class FeetechServo(EmulatedServo):
         }
     )  # fmt: skip
 
-    def __init__(
-        self,
-        options: ServoOptions,
-        violated: Callable[[Violation], None],
-        on_output: Callable[[float, float], None] | None = None,
-    ) -> None:
-        self._failed = 0
-        self._loaded_s = 0.0
-        self._is_overloaded = False
-        super().__init__(options, violated, on_output)
+    _failed, _loaded_s, _is_overloaded = 0, 0.0, False
 
     def _begin(self, t_s: float) -> None:
         super()._begin(t_s)

@@ -182,6 +182,5 @@ class Family:
             position_mode=POSITION_MODE,
             counts_per_turn=COUNTS,
             bauds=self.bauds,
-            telemetry=(120, 27),
             supply_V=supply_V,
         )

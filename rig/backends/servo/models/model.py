@@ -27,7 +27,6 @@ class ServoModel:
     position_mode    in which it holds a position by itself, within one turn
     counts_per_turn  of the position
     bauds            by the value of the baud's register, as far as all sources agree
-    telemetry        address and bytes of the one read of a tick
     supply_V         lowest and highest that its voltage limits can be set to, V
     """
 
@@ -43,7 +42,6 @@ class ServoModel:
     position_mode: int
     counts_per_turn: int
     bauds: Mapping[int, int]
-    telemetry: tuple[int, int]
     supply_V: tuple[float, float]
 
     def __getitem__(self, name: str) -> Register:
@@ -83,9 +81,3 @@ class ServoModel:
             for r in self.registers.values()
             if address <= r.address and r.end <= end
         }
-
-    def span(self, *names: str) -> tuple[int, int]:
-        """Address and bytes of one read that has all these registers in it. Raises KeyError."""
-        registers = [self.registers[name] for name in names]
-        first = min(r.address for r in registers)
-        return first, max(r.end for r in registers) - first

@@ -124,7 +124,6 @@ def _model(name: str, number: int, supply_V: tuple[float, float]) -> ServoModel:
         position_mode=POSITION_MODE,
         counts_per_turn=COUNTS,
         bauds=BAUDS,
-        telemetry=(56, 15),
         supply_V=supply_V,
     )
 

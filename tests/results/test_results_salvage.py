@@ -17,7 +17,7 @@ from rig.output.report.source import load
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.reader import read_result, read_run
 from rig.run_folder.results import RunEvent, RunMeta, RunResult
-from rig.run_folder.results.reading import DamagedError, parsed, salvaged
+from rig.run_folder.results.salvage import DamagedError, parsed, salvaged
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden/simulated-jog"
 
