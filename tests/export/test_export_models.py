@@ -33,6 +33,7 @@ from rig.model.real_motor import PARTS
 from rig.output.export import TOOLS, export_model
 from rig.output.export.tool import IN_NONE
 from rig.run_folder.recording.reader import read_run
+from rig.running.run_tuning import Asked, tune_run
 
 IN_VOLTS = [tool for tool in TOOLS if tool != "bam"]  # it takes newton metres: test_export_newton_metres.py
 RIGID = [law for law in LAWS if law not in ("backlash", "bristle", *IN_NONE)]
@@ -186,6 +187,15 @@ def test_wpilib_computes_the_drive_that_rig_asks_for(exported: Callable[..., Pat
             simple = SimpleMotorFeedforwardRadians(gains["kS"], gains["kV"], gains["kA"])
             theirs = simple.calculate(v_rad_s) + gains["kA"] * a_rad_s2
         assert theirs + file["constant_V"]["value"] == pytest.approx(ours, abs=1e-9)
+
+
+def test_rig_tune_gives_the_gains_that_wpilib_gets(exported: Callable[..., Path]) -> None:
+    """Its kS left the dead band out."""
+    folder = exported("wpilib", "dead_band")
+    gains = json.loads((folder / "motor_wpilib.json").read_text())["gains"]
+    forward = tune_run(run_in(folder), Asked("position", None, None, 45.0, 6.0), 39).result().feedforward
+    found = (forward.kS_V, forward.kV_V_s_rad, forward.kA_V_s2_rad)
+    assert found == pytest.approx([gains[name]["value"] for name in ("kS", "kV", "kA")])
 
 
 @pytest.mark.evidence
