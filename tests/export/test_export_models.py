@@ -250,6 +250,16 @@ def test_each_model_says_where_it_comes_from_and_how_certain_it_is(exported: Cal
     assert f'#define RIG_MOTOR_RUN "{run.name}"' in header
 
 
+def test_a_run_that_anothers_models_drove_names_that_one(tmp_path: Path) -> None:
+    """Its motor was said to be its own, identified from its samples."""
+    run = run_with(tmp_path)
+    result = json.loads((run / "result.json").read_text(encoding="utf-8"))
+    (run / "result.json").write_text(json.dumps(result | {"models_from": "runs/measured"}), encoding="utf-8")
+    (file,) = export_model(run, "wpilib", tmp_path).files
+    motor = json.loads(file.read_text(encoding="utf-8"))["motor"]
+    assert (motor["run"], motor["record_sha256"]) == ("measured", None)
+
+
 def test_without_a_bridge_that_is_free_between_its_pulses_a_model_is_slower_and_stops_sooner(tmp_path: Path) -> None:
     motor = motor_of(run_with(tmp_path, "free_between"))
     model = replace(motor, motor=motor.motor._replace(free_between=0.0))
