@@ -81,7 +81,7 @@ def motor_of(answer: Answer | None) -> UncertainMotor:
     names = [_OF_ESTIMATE.get(name, name) for name in OF]
     half = tuple(0.5 * (high - low) for low, high in (answer.at_95(name) or (0.0, 0.0) for name in names))
     if not half[0] > 0.0 or not half[1] > 0.0:
-        raise TuneError("tau and K have no intervals, so no worst case is known", "identify the run anew")
+        raise TuneError("tau and K have no intervals, so no worst case is known", "see why: `rig identify RUN`")
     # numbers that the estimate does not have are independent
     correlation = [[1.0 if a == b else answer.correlation_of(a, b) or 0.0 for b in names] for a in names]
     return UncertainMotor(framed, max(answer.delay_s or 0.0, 0.0), half, np.array(correlation))
