@@ -134,7 +134,7 @@ def _margins(motor: UncertainMotor, gain_V_rad: float) -> Margins:
 
 def _held_rad(motor: UncertainMotor, gain_V_rad: float) -> float:
     m = motor.framed.motor
-    level_V = sum(getattr(m, name) for name in AT_REST_V) + math.hypot(m.friction_sin_V, m.friction_cos_V)
+    level_V: float = sum(getattr(m, name) for name in AT_REST_V) + math.hypot(m.friction_sin_V, m.friction_cos_V)
     held_V = level_V + motor.half_95[2] + motor.pull_V * (1.0 + m.load_friction * m.load_outside)
     return held_V / (1.0 - m.load_friction) / gain_V_rad
 
