@@ -31,6 +31,7 @@ class Told:
     supply: float = 0.01
     dead_band_V: float = 0.0
     laws: tuple[dict[str, Any], ...] = ()
+    travel_rad: tuple[float, float] | None = None  # its middle, and half of it
 
 
 def result_of(told: Told) -> dict[str, Any]:
@@ -58,10 +59,13 @@ def result_of(told: Told) -> dict[str, Any]:
         {"source": "dead_band", "tau_s": 0.0, "K_rad_s_V": 0.0, "fc_V": told.dead_band_V},
     ]
     u95 = {key: 1.96 * e for key, e in zip(values, ERRORS, strict=True)}
+    frame = (
+        {} if told.travel_rad is None else dict(zip(("centre_rad", "half_travel_rad"), told.travel_rad, strict=True))
+    )
     return {
         "schema": 1, "backend": "bench", "relays": [], "estimates": {METHOD: estimate}, "tracking": {}, "faults": [],
-        "law": list(told.laws), "u95": u95, "budget": budget, "notes": [], "link": {}, "config_notes": [],
-        "loop": {"period_s": 0.01, "ticks": 1000},
+        "law": list(told.laws), "u95": u95, "budget": budget, "law_frame": frame or None, "notes": [], "link": {},
+        "config_notes": [], "loop": {"period_s": 0.01, "ticks": 1000},
     }  # fmt: skip
 
 

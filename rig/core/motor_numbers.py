@@ -247,6 +247,9 @@ def _rows(of: type[RealMotor] | type[Frame]) -> dict[str, Number]:
 
 NUMBERS = _rows(RealMotor)
 FRAME = _rows(Frame)
+AT_REST_V = tuple(name for name, number in NUMBERS.items() if number.at_rest)
+"""Their sum, V, holds a shaft at rest (docs/theory.md 8.4)."""
+
 PARTS: dict[str, tuple[str, ...]] = {
     law: tuple(name for name, number in NUMBERS.items() if law in number.laws)
     for law in dict.fromkeys(law for number in NUMBERS.values() for law in number.laws)

@@ -170,7 +170,8 @@ def plain_in_pieces(
     most_V = max(float(np.abs(test.u_V).max()) for test in thin)
     sizes = [name for name in bridge if not NUMBERS[name].is_shape]
     limits = limits_of(free, cut, delay_s)
-    limits |= {name: (0.0, most_V) if name == DEAD_BAND else FREE for name in sizes}
+    most = {DEAD_BAND: (0.0, most_V)} | dict.fromkeys(FORCE, (-LARGEST_FORCE * most_V, LARGEST_FORCE * most_V))
+    limits |= {name: most.get(name, FREE) for name in sizes}
     sigma = 1e-3 * cut.frames[0].half_travel_rad
     fitted = () if starts_alone else (*free, *sizes)
     problem = Problem(cut, fitted, limits, sigma, noise=noise_of_sensor(walks, sigma))

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rig.core.arrays import Array
-from rig.core.motor_numbers import NUMBERS
+from rig.core.motor_numbers import AT_REST_V
 from rig.identification.chance import student_975
 from rig.identification.departures import BY_NAME, DEPARTURES
 from rig.identification.departures.blocks import Blocks, HeldOut, held_out
@@ -103,9 +103,6 @@ SPEED_OVER_S = 0.1
 FURTHER_CYCLES = 0.9  # longest pieces of records beside the tests, in cycles
 ROWS_OF_TAU, FEWER_OF_TAU = 20, 5  # at least so many of the rows taken as one have room in tau
 SMALLEST_NOISE = 1e-6  # of the sensor, relative to half the travel: of a record without noise
-AT_REST_V = tuple(
-    name for name, number in NUMBERS.items() if number.at_rest
-)  # their sum holds a shaft at rest (docs/theory.md 8.4)
 CORE_OF = dict(zip((*CORE, DELAY), PARAMETERS, strict=True))
 
 

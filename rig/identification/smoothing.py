@@ -25,7 +25,15 @@ from numpy.typing import NDArray
 from rig.identification.departures.departure import NOTHING
 from rig.identification.departures.fit import Fit, solve
 from rig.identification.estimate import Estimate
-from rig.identification.in_pieces import DEAD_BAND, PIECE_ITERATIONS, PIECE_S, ROUGHLY, free_between, plain_in_pieces
+from rig.identification.in_pieces import (
+    DEAD_BAND,
+    FORCE,
+    PIECE_ITERATIONS,
+    PIECE_S,
+    ROUGHLY,
+    free_between,
+    plain_in_pieces,
+)
 from rig.identification.lowest import lowest
 from rig.identification.plausibility import divides_a_turn
 from rig.identification.preprocessing import unfiltered
@@ -59,7 +67,7 @@ WAY_ROWS = range(1, 13)
 # By what is left with a filter this share larger or smaller its size is known: to KNOWN times the share that would make
 # the squares of what is left twice as large. In 11 made logs it was off by 0.95 of that share at most, in 10 by 0.42.
 BESIDE, KNOWN = 0.15, 0.6
-RUNS_FREE, NO_BRAKE = {"runs_free": 1.0}, {"no_brake": 1.0}
+RUNS_FREE, NO_BRAKE, LOAD = {"runs_free": 1.0}, {"no_brake": 1.0}, dict.fromkeys(FORCE, 0.0)
 COAST_S = 0.1  # bridges are looked at beyond a share of the way in it
 
 
@@ -171,7 +179,8 @@ def smoothing(tests: Sequence[TimeSeries], plain: Estimate, otherwise_rad: float
     """How a column of the tests was smoothed; None where that does not show.
 
     Where its drive ends, a motor behind a bridge that does not brake goes on as a smoothed column does. So it is looked
-    for behind other bridges, too, where one that brakes leaves some of the motion.
+    for behind other bridges, too, where one that brakes leaves some of the motion. A hanging load bends the motion as a
+    long mean does: so it is looked for beside a load, too.
     """
     over = [test.noise_over_rad(math.ceil(PIECE_S / test.period_s)) for test in tests]
     noise_rad = math.sqrt(sum(one**2 for one in over) / len(over))
@@ -180,9 +189,12 @@ def smoothing(tests: Sequence[TimeSeries], plain: Estimate, otherwise_rad: float
     tried: dict[Smoothing, float] = {}
     rad, found = _behind(NOTHING, tests, plain, noise_rad, tried)
     ways_rad = [float(np.std(np.diff(test.y_rad))) * COAST_S / test.period_s for test in tests]
-    for bridge in _bridges(tests, plain) if rad > EXPLAINS * max(ways_rad) else ():
+    bridges = _bridges(tests, plain) if rad > EXPLAINS * max(ways_rad) else ()
+    loads = [LOAD] if rad > NOISY * noise_rad and _explains_more(LOAD, tests, plain) else []
+    for bridge in (*loads, *bridges):
         if rad > NOISY * noise_rad:
-            other_rad, other = _behind(bridge, tests, plain, noise_rad, tried)
+            # without the load that a shaft carries, what was tried says nothing
+            other_rad, other = _behind(bridge, tests, plain, noise_rad, {} if bridge is LOAD else tried)
             is_told = other is None or other.left != 1.0
             rad, found = (other_rad, other) if is_told and other_rad < CUTS * rad else (rad, found)
     return found if rad < otherwise_rad else None
@@ -194,8 +206,13 @@ def _bridges(tests: Sequence[TimeSeries], plain: Estimate) -> Iterator[Mapping[s
         yield RUNS_FREE
     yield NO_BRAKE
     free = free_between(tests)
-    if plain_in_pieces(tests, plain, free).rms_rad < PROMISING * plain_in_pieces(tests, plain).rms_rad:
+    if _explains_more(free, tests, plain):
         yield free
+
+
+def _explains_more(laws: Mapping[str, float], tests: Sequence[TimeSeries], plain: Estimate) -> bool:
+    """Whether a motor with these laws leaves clearly less of pieces than the plain one does."""
+    return plain_in_pieces(tests, plain, laws).rms_rad < PROMISING * plain_in_pieces(tests, plain).rms_rad
 
 
 def _behind(
@@ -263,8 +280,10 @@ def _behind(
         if beyond(found[best]) >= cuts**2 * beyond(without):
             return without, None
     band = {**bridge, DEAD_BAND: SMALL * max(float(np.abs(test.u_V).max()) for test in tests)}
-    # at each reversal it lags as a filter does; and where the drive is small, a bridge that is free between its pulses
-    motions = (plain_in_pieces(tests, plain, one) for one in (bridge, band, {**band, **free_between(tests)}))
+    # at each reversal it lags as a filter does; and where the drive is small, a bridge that is free between its pulses;
+    # and a hanging load bends the motion between reversals, which a long mean would do, too
+    others = (bridge, band, {**band, **free_between(tests)}, {**bridge, **LOAD})
+    motions = (plain_in_pieces(tests, plain, one) for one in others)
     if (
         any(solve(one, TO_ITS_END).rms_rad < found[best] for one in motions)
         or not sum(map(len, tests)) * math.log(without / found[best]) > SURE

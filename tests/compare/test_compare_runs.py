@@ -58,6 +58,19 @@ def test_what_tests_of_another_kind_could_explain_is_said(tmp_path: Path) -> Non
     assert "may come from dead band, which they do not exclude" in compared(*runs)["measurably"]["words"]
 
 
+def test_friction_that_changes_over_the_travel_is_compared_over_one_travel(tmp_path: Path) -> None:
+    """Each run's f_c is the mean over its own travel: three runs of one motor differed, by 1.5 % of f_c."""
+    law = {"name": "friction_over_position", "value": 0.08, "ci95": [0.079, 0.081]}
+    law |= {"numbers": {"friction_sin_V": 0.08, "friction_cos_V": 0.0}}
+    for k, (middle, half) in enumerate(((-0.05, 0.2), (0.0, 0.25), (0.04, 0.15))):
+        told = Told(fc_V=0.48 + 0.08 * middle, laws=(law,), travel_rad=(middle, half))
+        write_run(tmp_path / str(k), told, hour=k)
+    found = compared(*(tmp_path / str(k) for k in range(3)))
+    assert not found["measurably"]["differs"] and found["measurably"]["chance"] > 0.9
+    assert [run["fc_V"] for run in found["runs"]] == pytest.approx([0.48 - 0.08 * 0.01 / 3.0] * 3, abs=2e-4)
+    assert any("f_c is the mean from -0.203 to 0.197 rad" in note for note in found["notes"])
+
+
 def test_the_odd_one_of_several_is_named_and_judged_by_the_scatter_of_the_others(tmp_path: Path) -> None:
     scattered = [0.4795, 0.4803, 0.4812, 0.4788, 0.4801]
     runs = [write_run(tmp_path / f"r{k}", Told(fc_V=fc), hour=k) for k, fc in enumerate(scattered)]
@@ -120,18 +133,24 @@ def test_what_cannot_be_compared_is_left_out_and_said(tmp_path: Path) -> None:
     ):
         result = json.loads((folder / "result.json").read_text())
         (folder / "result.json").write_text(json.dumps(result | change))
+    # as a run whose laws give no number: its plain fit has tau, K and f_c with a small scatter, 5 % off
+    unbounded = write_run(tmp_path / "unbounded", Told(verdict="doubtful"))
+    result = json.loads((unbounded / "result.json").read_text())
+    answer = result["estimates"]["sampled-data"] | {"grade": {"tau_s": {}, "K_rad_s_V": {}, "fc_V": {}}, "law": []}
+    (unbounded / "result.json").write_text(json.dumps(result | {"answer": answer}))
     damaged = write_run(tmp_path / "damaged", Told())
     result = json.loads((damaged / "result.json").read_text())
     for estimate in result["estimates"].values():
         estimate["covariance"][0].pop()
     (damaged / "result.json").write_text(json.dumps(result))
-    found = compared(*good, killed, refused, tracked, old, unknown, damaged)
+    found = compared(*good, killed, refused, tracked, old, unknown, unbounded, damaged)
     assert sorted(run["name"] for run in found["runs"]) == ["a", "b", "old"]
     why = {Path(one["folder"]).name: one["reason"] for one in found["left_out"]}
     assert "no result.json" in why["killed"]
     assert "refused: too few cycles" in why["refused"]
     assert "runs/x" in why["tracked"]
     assert "identified no motor" in why["unknown"]
+    assert "does not know its motor: too few cycles" in why["unbounded"]
     assert "is damaged" in why["damaged"]
     notes = "\n".join(found["notes"])
     assert "old: no budget" in notes

@@ -33,6 +33,7 @@ from rig.model.real_motor import PARTS
 from rig.output.export import TOOLS, export_model
 from rig.output.export.tool import IN_NONE
 from rig.run_folder.recording.reader import read_run
+from rig.running.run_tuning import Asked, tune_run
 
 IN_VOLTS = [tool for tool in TOOLS if tool != "bam"]  # it takes newton metres: test_export_newton_metres.py
 RIGID = [law for law in LAWS if law not in ("backlash", "bristle", *IN_NONE)]
@@ -188,6 +189,15 @@ def test_wpilib_computes_the_drive_that_rig_asks_for(exported: Callable[..., Pat
         assert theirs + file["constant_V"]["value"] == pytest.approx(ours, abs=1e-9)
 
 
+def test_rig_tune_gives_the_gains_that_wpilib_gets(exported: Callable[..., Path]) -> None:
+    """Its kS left the dead band out."""
+    folder = exported("wpilib", "dead_band")
+    gains = json.loads((folder / "motor_wpilib.json").read_text())["gains"]
+    forward = tune_run(run_in(folder), Asked("position", None, None, 45.0, 6.0), 39).result().feedforward
+    found = (forward.kS_V, forward.kV_V_s_rad, forward.kA_V_s2_rad)
+    assert found == pytest.approx([gains[name]["value"] for name in ("kS", "kV", "kA")])
+
+
 @pytest.mark.evidence
 def test_octave_simulates_it_as_rig_moves_it_and_lays_it_over_the_recording(exported: Callable[..., Path]) -> None:
     """One process for all: an export after the other, and the recorded strokes of the first."""
@@ -238,6 +248,16 @@ def test_each_model_says_where_it_comes_from_and_how_certain_it_is(exported: Cal
         assert "95 % 0.169 to 0.171" in text
         assert "LACKS drift 0.1" in text
     assert f'#define RIG_MOTOR_RUN "{run.name}"' in header
+
+
+def test_a_run_that_anothers_models_drove_names_that_one(tmp_path: Path) -> None:
+    """Its motor was said to be its own, identified from its samples."""
+    run = run_with(tmp_path)
+    result = json.loads((run / "result.json").read_text(encoding="utf-8"))
+    (run / "result.json").write_text(json.dumps(result | {"models_from": "runs/measured"}), encoding="utf-8")
+    (file,) = export_model(run, "wpilib", tmp_path).files
+    motor = json.loads(file.read_text(encoding="utf-8"))["motor"]
+    assert (motor["run"], motor["record_sha256"]) == ("measured", None)
 
 
 def test_without_a_bridge_that_is_free_between_its_pulses_a_model_is_slower_and_stops_sooner(tmp_path: Path) -> None:

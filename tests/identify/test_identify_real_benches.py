@@ -264,6 +264,33 @@ def test_of_two_files_the_one_that_was_smoothed_is_undone() -> None:
     assert found.answer is not None and right(found.answer, MOTOR, 0.025, "tau_s", "K_rad_s_V", "fc_V")
 
 
+@pytest.mark.parametrize("low_pass_s", [0.0, 0.03])
+def test_a_hanging_load_is_no_mean_of_rows_and_hides_no_low_pass(low_pass_s: float) -> None:
+    """Its pull bends the motion as a mean of 11 rows does: that was undone, and its pull was 0.32 V, not 0.5."""
+    loaded = RealMotor(0.2, 3.7, 0.35, force_sin_V=0.5)
+    keep = math.exp(-0.01 / low_pass_s) if low_pass_s else 0.0
+    records = []
+    for level_V, turn_rad, seed in ((2.4, 0.8, 1), (1.6, 0.5, 2)):
+        random, shaft = np.random.default_rng(seed), MovingMotor(loaded, Frame(0.0, 1.0), 0.0)
+        t_s = np.linspace(0.0, 8.0, 800, endpoint=False)
+        u_V, y_rad = np.zeros(801), np.zeros(801)  # of the row before, at the end
+        way = 1.0
+        for k, at_s in enumerate(t_s.tolist()):
+            reading_rad = shaft.reading_rad + 5e-4 * random.standard_normal()
+            way = -math.copysign(1.0, reading_rad) if abs(reading_rad) > turn_rad else way
+            u_V[k], y_rad[k] = way * level_V, keep * y_rad[k - 1] + (1.0 - keep) * reading_rad
+            shaft.advance(float(u_V[k - 1]), at_s, 0.003)
+            shaft.advance(float(u_V[k]), at_s + 0.003, 0.007)
+        records.append((t_s, u_V[:-1], y_rad[:-1]))
+    found = found_in(*records)
+    assert [change.split(",")[0] for change in found.changes] == ["the reading is low-passed by 30 ms"] * bool(
+        low_pass_s
+    )
+    assert found.answer is not None and found.answer.verdict == "ok"
+    assert right(found.answer, loaded, 0.01, "tau_s", "K_rad_s_V", "fc_V")
+    assert [law.value for law in found.answer.law or ()] == [pytest.approx(0.5, rel=0.01)]
+
+
 def test_a_smoothing_that_cannot_be_undone_is_named_and_tau_is_not_known() -> None:
     """Tau was half of what it is beside 12 %."""
     t_s, u_V, y_rad = recorded(MOTOR._replace(tau_s=0.1), (3.0, 5.0, 7.0), rows=800)

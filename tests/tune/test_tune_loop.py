@@ -10,15 +10,17 @@ import pytest
 from evidence import evidence
 from scipy.integrate import trapezoid
 
+from rig.control.known_motor import KnownMotor
 from rig.control.set_point import InTurn, PositionStep, SpeedSteps
 from rig.control.state_feedback import Loop
 from rig.control.tuned import tuned as law_tuned
 from rig.design.tune.prediction import predict, shown_of
 from rig.design.tune.program import Room, steps_alone, whole_trial
 from rig.design.tune.trial import Sensing, driven, shaft_of
-from rig.design.tune.tuning import Tuned, TuneError, Wish, tune
+from rig.design.tune.tuning import Tuned, TuneError, Wish, motor_of, tune
 from rig.design.tune.uncertain import UncertainMotor
 from rig.model.real_motor import FramedMotor
+from rig.run_folder.results import Answer, GradedNumber
 
 SENSING = Sensing(0.01, 0.003, 4.1e-3, 3.0)
 FRAMED = FramedMotor.of({"tau_s": 0.17, "K_rad_s_V": 6.5, "fc_V": 0.48, "bias_V": -0.01})
@@ -61,6 +63,31 @@ def test_a_larger_bandwidth_than_possible_is_refused_with_the_largest(position: 
     assert tune(MOTOR, SENSING, replace(POSITION, bandwidth_1_s=0.99 * position.largest_1_s)).bandwidth_1_s < 20.0
     with pytest.raises(TuneError, match="degrees and 6 dB are asked for"):
         tune(MOTOR, SENSING, replace(POSITION, least=replace(POSITION.least, phase_deg=80.0)))
+
+
+def test_a_step_against_a_load_and_a_dead_band_takes_no_more_than_the_largest_drive() -> None:
+    """What they take was left out of the step that the loop must make: it took 3.6 V of 3."""
+    more = {"dead_band_V": 0.2, "force_sin_V": 0.4, "drag_V_s2_rad2": 0.01, "centre_rad": -0.5 * math.pi}
+    framed = FramedMotor.of(FRAMED.numbers | more)
+    bandwidth_1_s = tune(replace(MOTOR, framed=framed), SENSING, POSITION).largest_1_s
+    known, program = KnownMotor(framed), PositionStep(POSITION.step, bandwidth_1_s, math.inf)
+    needed_V = []
+    for t_s in np.linspace(0.0, 1.0, 400).tolist():
+        one = program.at(t_s)
+        state = known.moved(known.at_rest(0.0), one.v_rad_s, one.y_rad)
+        needed_V.append(known.drive_V(state, one.a_rad_s2, 1.0))
+    assert 2.9 < max(needed_V) < 3.0 + 1e-9
+
+
+def test_a_motor_that_may_be_any_gets_no_loop() -> None:
+    """Its tau and K counted as known to their scatter: K was 4.6 % off, and the worst motor 0.6 %."""
+    plain = FRAMED.motor._asdict()
+    numbers = {name: plain[name] for name in ("tau_s", "K_rad_s_V", "fc_V")}
+    scatter = {name: (0.99 * value, 1.01 * value) for name, value in numbers.items()}
+    answer = Answer(verdict="doubtful", **numbers, ci95=scatter)
+    assert motor_of(answer).half_95[:2] == pytest.approx((0.0017, 0.065))
+    with pytest.raises(TuneError, match="have no intervals"):
+        motor_of(answer.model_copy(update={"grade": dict.fromkeys(numbers, GradedNumber())}))
 
 
 @pytest.mark.evidence

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from rig.design.tune.margins import Margins
 from rig.design.tune.servo_loop import servo_loop
 from rig.design.tune.tuning import LEAST, TuneError
 from rig.design.tune.uncertain import UncertainMotor
-from rig.model.real_motor import FramedMotor
+from rig.model.real_motor import FramedMotor, MovingMotor
 from rig.running.run_tuning import position_mode_of
 
 TAU_S, K, FC_V = 0.0444, 2.354, 0.133  # the XL330 of Rhoban/bam, model M1
@@ -44,6 +45,22 @@ def test_the_margins_are_those_of_the_loop_that_the_servo_runs() -> None:
     for row in rows.values():
         assert row.margins.phase_deg == pytest.approx(phase_deg(5.0 * MANUAL * row.P), abs=0.05)
     assert rows["rig"].held_rad == pytest.approx(FC_V / (5.0 * 0.5 * MANUAL * rows["rig"].P))
+
+
+def test_all_that_holds_a_shaft_at_rest_holds_it_off_its_goal() -> None:
+    """The angle was that of f_c alone: with this load the motor of rig's own stands at up to twice of it."""
+    numbers = {"static_V": 0.04, "dead_band_V": 0.02, "force_sin_V": 0.1, "force_cos_V": 0.05, "load_friction": 0.1}
+    framed = FramedMotor.of(motor().framed.numbers | numbers | {"load_outside": 0.5})
+    held_rad = servo_loop(replace(motor(), framed=framed), XL330, 5.0, LEAST).rows[0].held_rad
+    gain_V_rad = FC_V / servo_loop(motor(), XL330, 5.0, LEAST).rows[0].held_rad
+    stands = []  # the farthest place off the goal at which the drive of the loop moves the shaft no more
+    for goal_rad in np.linspace(-math.pi, math.pi, 25).tolist():
+        for off_rad in np.linspace(-0.3, 0.3, 121).tolist():
+            shaft = MovingMotor(framed.motor, framed.frame, goal_rad - off_rad)
+            for k in range(5):
+                shaft.advance(gain_V_rad * off_rad, 0.01 * k, 0.01)
+            stands += [abs(off_rad)] * (abs(shaft.reading_rad - goal_rad + off_rad) < 1e-9)
+    assert 0.9 * held_rad < max(stands) < held_rad + 1e-9
 
 
 def test_p_is_the_largest_that_the_worst_motor_keeps() -> None:

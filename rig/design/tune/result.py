@@ -57,7 +57,7 @@ def result_of(tuned: Tuned, prediction: Prediction, bench: Record | None, run: s
         step=tuned.wish.step,
         pid=as_pid(tuned.gains, linear.tau_s, linear.K_rad_s_V),
         feedforward=TunedFeedForward(
-            kS_V=tuned.motor.framed.motor.fc_V,
+            kS_V=tuned.motor.framed.motor.fc_V + tuned.motor.framed.motor.dead_band_V,
             kV_V_s_rad=1.0 / linear.K_rad_s_V,
             kA_V_s2_rad=linear.tau_s / linear.K_rad_s_V,
         ),

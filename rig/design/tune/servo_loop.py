@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from rig.core.motor_numbers import AT_REST_V
 from rig.design.tune.margins import Margins, Matrices, margins, motor_matrices, worst
 from rig.design.tune.tuning import TuneError
 from rig.design.tune.uncertain import UncertainMotor
@@ -55,7 +56,7 @@ class Row:
     """A gain P, and what it makes of the motor.
 
     margins   of the worst motor within the intervals, at the highest scale
-    held_rad  how far from its goal friction may hold the shaft, at the lowest scale, rad
+    held_rad  how far from its goal friction at rest and a load may hold the shaft, at the lowest scale, rad
     """
 
     whose: str
@@ -132,8 +133,10 @@ def _margins(motor: UncertainMotor, gain_V_rad: float) -> Margins:
 
 
 def _held_rad(motor: UncertainMotor, gain_V_rad: float) -> float:
-    held_V = motor.framed.motor.fc_V + motor.half_95[2] + abs(motor.framed.motor.bias_V)
-    return held_V / gain_V_rad
+    m = motor.framed.motor
+    level_V: float = sum(getattr(m, name) for name in AT_REST_V) + math.hypot(m.friction_sin_V, m.friction_cos_V)
+    held_V = level_V + motor.half_95[2] + motor.pull_V * (1.0 + m.load_friction * m.load_outside)
+    return held_V / (1.0 - m.load_friction) / gain_V_rad
 
 
 def _settings(mode: PositionMode, P: int) -> tuple[Setting, ...]:

@@ -81,7 +81,7 @@ def motor_of(answer: Answer | None) -> UncertainMotor:
     names = [_OF_ESTIMATE.get(name, name) for name in OF]
     half = tuple(0.5 * (high - low) for low, high in (answer.at_95(name) or (0.0, 0.0) for name in names))
     if not half[0] > 0.0 or not half[1] > 0.0:
-        raise TuneError("tau and K have no intervals, so no worst case is known", "identify the run anew")
+        raise TuneError("tau and K have no intervals, so no worst case is known", "see why: `rig identify RUN`")
     # numbers that the estimate does not have are independent
     correlation = [[1.0 if a == b else answer.correlation_of(a, b) or 0.0 for b in names] for a in names]
     return UncertainMotor(framed, max(answer.delay_s or 0.0, 0.0), half, np.array(correlation))
@@ -252,9 +252,9 @@ def _forbidden(
 
 
 def _reference_needs(motor: UncertainMotor, wish: Wish, bandwidth_1_s: float) -> tuple[float, float]:
-    """Largest drive, V, and speed, rad/s, of the step's reference on the identified motor with its plain friction."""
-    linear, plain = motor.linear, motor.framed.motor
-    friction_V = plain.fc_V + abs(plain.bias_V)
+    """Largest drive, V, and speed, rad/s, of the step's reference on the identified motor, load and all."""
+    linear, m = motor.linear, motor.framed.motor
+    against_V = m.fc_V + m.dead_band_V + motor.pull_V
     program: Program
     if wish.loop == "position":
         step = PositionStep(wish.step, bandwidth_1_s, math.inf)
@@ -267,7 +267,9 @@ def _reference_needs(motor: UncertainMotor, wish: Wish, bandwidth_1_s: float) ->
     speeds = []
     for t in times.tolist():
         one = program.at(t)
-        push = (linear.tau_s * one.a_rad_s2 + one.v_rad_s) / linear.K_rad_s_V
-        drives.append(abs(push + math.copysign(friction_V, one.v_rad_s or 1.0)))
+        push = (linear.tau_s * one.a_rad_s2 + one.v_rad_s) / linear.K_rad_s_V + m.drag_V_s2_rad2 * one.v_rad_s * abs(
+            one.v_rad_s
+        )
+        drives.append(abs(push + math.copysign(against_V, one.v_rad_s or 1.0)))
         speeds.append(abs(one.v_rad_s))
     return max(drives), max(speeds)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from rig.core.arrays import Array
 from rig.model.real_motor import FramedMotor
+from rig.model.real_step import mean_cosine
 
 OF = ("tau_s", "K_rad_s_V", "fc_V", "bias_V", "delay_s")
 COVERAGE = 1.96  # half a 95 % interval over its standard deviation
@@ -51,6 +53,14 @@ class UncertainMotor:
         """Its linear part."""
         motor = self.framed.motor
         return LinearMotor(motor.tau_s, motor.K_rad_s_V, motor.lag_s, self.delay_s)
+
+    @property
+    def pull_V(self) -> float:
+        """The most that load, cogging and bias take from the drive at any angle, V."""
+        motor, frame = self.framed.motor, self.framed.frame
+        constant_V = abs(motor.bias_V + motor.force_cos_V * mean_cosine(frame))
+        cogging_V = math.hypot(motor.cogging_sin_V, motor.cogging_cos_V)
+        return constant_V + math.hypot(motor.force_sin_V, motor.force_cos_V) + cogging_V
 
     def corners(self) -> Iterator[LinearMotor]:
         """The motor itself, then each corner of the box of the intervals of tau, K and delay."""

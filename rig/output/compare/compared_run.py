@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -12,12 +12,14 @@ import numpy as np
 
 from rig.core.arrays import Array
 from rig.core.estimators import MAIN
+from rig.core.motor_numbers import PARTS
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.path_kind import no_run
 from rig.run_folder.recording.reader import read_meta, read_result
 from rig.run_folder.results import Answer, EstimateResult, FoundLawResult, RunMeta, RunResult, known
 
 COVERAGE = 2.0  # of the half widths in a budget
+FRICTION = "friction_over_position"
 TYPE_A = "scatter"  # the budget's line of the noise, which the covariance holds already
 
 
@@ -36,6 +38,7 @@ class ComparedRun:
     bench        what the run says of its bench: parts by name; a part may be missing
     laws         that the run shows
     largest_V    the largest drive that its answer was measured with, V; nan: not said
+    travel_rad   middle and half width of the travel that its friction is the mean over, rad; None: not said
     """
 
     name: str
@@ -50,6 +53,7 @@ class ComparedRun:
     notes: tuple[str, ...] = ()
     temperature_C: float | None = field(default=None)
     largest_V: float = math.nan
+    travel_rad: tuple[float, float] | None = None
 
     @property
     def started(self) -> datetime | None:
@@ -107,9 +111,11 @@ def of_result(name: str, folder: Path, meta: RunMeta, result: RunResult, notes: 
     if answer is None:
         fault = f": {result.faults[0].code} ended it" if result.faults else ""
         raise NotComparableError(f"it identified no motor{fault}")
+    why = f": {answer.reasons[0]}" if answer.reasons else ""
     if answer.is_refused:
-        why = f": {answer.reasons[0]}" if answer.reasons else ""
         raise NotComparableError(f"its answer is refused{why}")
+    if any(answer.interval(name) and answer.at_95(name) is None for name in MAIN):
+        raise NotComparableError(f"its answer does not know its motor{why}")
     values, covariance = _values(answer)
     numbers = in_units(values)
     lines = None
@@ -123,13 +129,53 @@ def of_result(name: str, folder: Path, meta: RunMeta, result: RunResult, notes: 
         lines = {source: np.where(np.isfinite(line), line, 0.0) for source, line in lines.items()}
     return ComparedRun(
         name, folder, values, covariance, lines, bench_of(meta), meta, answer.verdict,
-        answer.law or (), tuple(notes), largest_V=_largest_V(answer),
+        answer.law or (), tuple(notes), largest_V=_largest_V(answer), travel_rad=_travel_rad(answer),
     )  # fmt: skip
 
 
 def _largest_V(answer: Answer) -> float:
     holds = answer.holds
     return math.nan if holds is None or holds.drive_V is None else known(holds.drive_V[1])
+
+
+def _travel_rad(answer: Answer) -> tuple[float, float] | None:
+    frame = answer.law_frame
+    travel = (math.nan, 0.0) if frame is None else (known(frame.centre_rad), known(frame.half_travel_rad))
+    return travel if math.isfinite(travel[0]) and 0.0 < travel[1] < math.inf else None
+
+
+def over_one_travel(runs: Sequence[ComparedRun]) -> tuple[list[ComparedRun], tuple[float, float] | None]:
+    """The runs with their friction as the mean over one travel, and that travel, rad; as they are, None: no need.
+
+    Where friction changes over the travel, each run's is the mean over what it drove itself.
+    """
+    laws = [next((law for law in run.laws if law.name == FRICTION), None) for run in runs]
+    travels = [run.travel_rad for run, law in zip(runs, laws, strict=True) if law is not None and run.travel_rad]
+    if not travels:
+        return list(runs), None
+    middle, half = np.mean(travels, axis=0).tolist()
+    shifted = [run if law is None else _over(run, law, middle, half) for run, law in zip(runs, laws, strict=True)]
+    return shifted, (middle - half, middle + half)
+
+
+def _over(run: ComparedRun, law: FoundLawResult, middle: float, half: float) -> ComparedRun:
+    """The run with its friction over another travel; what its law is unsure of is in the covariance."""
+    if run.travel_rad is None:
+        return run
+    own_middle, own_half = run.travel_rad
+    mean = math.sin(half) / half
+    by = np.array(
+        [mean * math.sin(middle - own_middle), mean * math.cos(middle - own_middle) - math.sin(own_half) / own_half]
+    )
+    shift_V = float(by @ [known(law.numbers.get(name)) for name in PARTS[FRICTION]])
+    low, high = law.ci95 or (None, None)
+    error_V = float(np.linalg.norm(by)) * (known(high) - known(low)) / (2.0 * COVERAGE)
+    if not math.isfinite(shift_V):
+        return run
+    values, covariance = run.values.copy(), run.covariance.copy()
+    values[2] += shift_V
+    covariance[2, 2] += error_V**2 if math.isfinite(error_V) else 0.0
+    return replace(run, values=values, covariance=covariance)
 
 
 def _values(estimate: EstimateResult) -> tuple[Array, Array]:

@@ -20,6 +20,7 @@ from rig.output.compare.compared_run import (
     benches,
     covariance_of,
     in_units,
+    over_one_travel,
     read_run,
     shared_variance,
     uncancelled,
@@ -154,7 +155,7 @@ def compare_runs(
             "give more runs that ended with an estimate",
             left_out,
         )
-    runs = _by_start(runs)
+    runs, travel_rad = over_one_travel(_by_start(runs))
     bench = benches(runs)
     values, covariance = np.array([run.values for run in runs]), covariance_of(runs, bench)
     if np.linalg.eigvalsh(covariance)[0] <= 0.0:
@@ -178,7 +179,7 @@ def compare_runs(
         beyond_scatter=_beyond(runs, off, used),
         scatter=_scatter(used, relative, variances),
         trends=tuple(_trends(runs, relative, variances)),
-        notes=(*notes, *_notes(runs, bench)),
+        notes=(*notes, *_of_travel(travel_rad), *_notes(runs, bench)),
     )
     return Comparison(tuple(runs), result)
 
@@ -354,6 +355,13 @@ def _trends(runs: Sequence[ComparedRun], relative: Array, variances: Array) -> l
             for key, line, shows in zip(MAIN, lines, shown, strict=True)
         ]  # fmt: skip
     return found
+
+
+def _of_travel(travel_rad: tuple[float, float] | None) -> list[str]:
+    if travel_rad is None:
+        return []
+    low, high = travel_rad
+    return [f"friction changes over the travel: here f_c is the mean from {low:.3g} to {high:.3g} rad in each run"]
 
 
 def _notes(runs: Sequence[ComparedRun], bench: Sequence[int]) -> list[str]:

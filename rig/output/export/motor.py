@@ -34,8 +34,8 @@ NUMBERS: Final = OF_MOTOR | {name: FRAME[name] for name in _OF_PLACES}
 class Provenance:
     """Where a model comes from.
 
-    run             name of the run folder
-    record_sha256   SHA-256 of its samples.csv; None: the folder has none
+    run             name of the run folder; of a run that another run's models drove: of that one
+    record_sha256   SHA-256 of its samples.csv; None: there is none in the folder that was read
     bench           the bench in words
     emulated        whether nothing real moved
     method          the estimator
@@ -55,7 +55,11 @@ class Provenance:
 
     def lines(self) -> list[str]:
         """In words, for the head of a file."""
-        record = f"SHA-256 of its samples.csv: {self.record_sha256}" if self.record_sha256 else "it has no samples.csv"
+        record = (
+            f"SHA-256 of its samples.csv: {self.record_sha256}"
+            if self.record_sha256
+            else "its samples.csv is not at hand"
+        )
         lines = [
             f"Identified by rig {VERSION} from run {self.run}.",
             record,
@@ -200,10 +204,11 @@ def identified_motor(run_folder: Path, run: ExportedRun) -> IdentifiedMotor:
     framed, answer = known_model(run_folder, math.inf), run.result.answer
     assert answer is not None  # it is where the model comes from
     laws = tuple(law for law in answer.law or () if law.value is not None)
-    meta, samples = run.recording.meta, run_folder / SAMPLES
+    meta, samples, others = run.recording.meta, run_folder / SAMPLES, run.result.models_from
+    is_own = others is None and samples.exists()
     provenance = Provenance(
-        run_folder.resolve().name,
-        hashlib.sha256(content_of(samples, own=True)).hexdigest() if samples.exists() else None,
+        run_folder.resolve().name if others is None else Path(others).name,
+        hashlib.sha256(content_of(samples, own=True)).hexdigest() if is_own else None,
         meta.backend,
         meta.emulated,
         answer.method,

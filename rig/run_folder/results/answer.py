@@ -61,7 +61,13 @@ class Answer(EstimateResult):
     holds: HoldsResult | None = key("the drives, speeds and travel that the records hold")
 
     def at_95(self, name: str) -> tuple[float, float] | None:
-        """As of an estimate, and as wide as u95 where that is known: what the tests do not exclude is in it, too."""
+        """As of an estimate, and as wide as u95 where that is known: what the tests do not exclude is in it, too.
+
+        None of a number that may be anything: its scatter alone would say that it is known.
+        """
+        graded = (self.grade or {}).get(name)
+        if graded is not None and not math.isfinite(known(graded.u95)):
+            return None
         bounds, value = self.interval(name), known(self.value(name))
         half, u95 = (math.nan if bounds is None else 0.5 * (bounds[1] - bounds[0])), known((self.u95 or {}).get(name))
         if not math.isfinite(value) or half >= u95 or math.isnan(u95):

@@ -23,7 +23,7 @@ class TunedPid(Part):
 class TunedFeedForward(Part):
     """The plain part of the feed-forward; the law has the motor's other laws, too."""
 
-    kS_V: Real = Field(description="friction, V")
+    kS_V: Real = Field(description="friction and dead band, V")
     kV_V_s_rad: Real = Field(description="drive for each rad/s, V s/rad")
     kA_V_s2_rad: Real = Field(description="drive for each rad/s^2, V s^2/rad")
 
