@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from rig.core.arrays import Array
 from rig.identification.departures.blocks import Blocks, share_cut
-from rig.identification.departures.departure import NOTHING, Bench, Departure
+from rig.identification.departures.departure import NOTHING, UNIFORM, Bench, Departure
 from rig.identification.departures.fit import (
     ENOUGH,
     Enough,
@@ -465,9 +465,13 @@ class Chooser:
             fit, laws = steps[0]
 
     def is_rounding(self, fit: Fit) -> bool:
-        """Whether each row is off by no more than its rounding to the sensor's steps, which repeats as a wave would."""
+        """Whether each row is off by no more than its rounding to the sensor's steps, which repeats as a wave would.
+
+        A few rows that are far off, as behind reversals, are no rounding.
+        """
+        most_rad = WITHIN_STEP * self.step_rad
         off_rad = np.abs(fit.problem.cut.counting(fit.residual_rad))
-        return float(np.mean(off_rad <= WITHIN_STEP * self.step_rad)) >= NEARLY_ALL
+        return fit.rms_rad <= most_rad / UNIFORM and float(np.mean(off_rad <= most_rad)) >= NEARLY_ALL
 
     def _dropped(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
         """Without laws that are not worth their numbers."""
@@ -512,7 +516,7 @@ class Chooser:
             trial = at_best_size(trial, law) if law.leaps else trial
             return _gain(fit, trial) - price(law), trial, (*laws, law)
 
-        is_far = self.within_steps or fit.rms_rad > FAR * self.sigma_rad
+        is_far = self.within_steps or fit.rms_rad > FAR * fit.noise_rad
         near = Enough(NEAR * self.asked.entry * unit(fit), 0.0) if is_far else ENOUGH
         first = self.promises(seen, laws)[:TRIED]
         wanted = [one for one in first if one.law.name not in left and one.gain >= price(one.law)]
@@ -523,9 +527,9 @@ class Chooser:
 
     def _hardly_shows(self, fit: Fit, richer: Fit) -> bool:
         """Whether the richer fit leaves nearly as much, far beyond noise: no further law is tried on top of it."""
-        if fit.rms_rad < FAR * self.sigma_rad:
+        if fit.rms_rad < FAR * fit.noise_rad:
             return False
-        left, all_of_it = (max(one.rms_rad**2 - self.sigma_rad**2, 1e-300) for one in (richer, fit))
+        left, all_of_it = (max(one.rms_rad**2 - fit.noise_rad**2, 1e-300) for one in (richer, fit))
         return 1.0 - math.sqrt(left / all_of_it) < FIRST_CUT
 
     def _less(self, fit: Fit, laws: tuple[Departure, ...], law: Departure) -> tuple[Fit, tuple[Departure, ...]]:
