@@ -7,8 +7,8 @@ rows or a ramp, is to a slower motor no more than its middle and its variance s^
 difference over half of these rows, so that their noise hardly grows.
 
 The change is looked for with which the plain motor explains pieces of the tests best. It counts where the plain motor
-leaves more than noise, and most of that goes; but not where a dead band explains more, or a bridge that is free between
-its pulses: they lag, too.
+leaves more than noise, and most of that goes. Not where a dead band and a sag explain more, or a bridge that is free
+between its pulses: they lag, too.
 """
 
 from __future__ import annotations
@@ -25,7 +25,15 @@ from numpy.typing import NDArray
 from rig.identification.departures.departure import NOTHING
 from rig.identification.departures.fit import Fit, solve
 from rig.identification.estimate import Estimate
-from rig.identification.in_pieces import DEAD_BAND, PIECE_ITERATIONS, PIECE_S, ROUGHLY, free_between, plain_in_pieces
+from rig.identification.in_pieces import (
+    DEAD_BAND,
+    PIECE_ITERATIONS,
+    PIECE_S,
+    ROUGHLY,
+    SAG,
+    free_between,
+    plain_in_pieces,
+)
 from rig.identification.lowest import lowest
 from rig.identification.plausibility import divides_a_turn
 from rig.identification.preprocessing import unfiltered
@@ -262,14 +270,13 @@ def _behind(
         cuts = NEARLY_ALL if plain.spoiled else CUTS
         if beyond(found[best]) >= cuts**2 * beyond(without):
             return without, None
-    band = {**bridge, DEAD_BAND: SMALL * max(float(np.abs(test.u_V).max()) for test in tests)}
+    largest_V = max(float(np.abs(test.u_V).max()) for test in tests)
+    band = {**bridge, DEAD_BAND: SMALL * largest_V, SAG: SMALL / largest_V}
     # at each reversal it lags as a filter does; and where the drive is small, a bridge that is free between its pulses
     motions = (plain_in_pieces(tests, plain, one) for one in (bridge, band, {**band, **free_between(tests)}))
-    if (
-        any(solve(one, TO_ITS_END).rms_rad < found[best] for one in motions)
-        or not sum(map(len, tests)) * math.log(without / found[best]) > SURE
-    ):
-        return without, None
+    told = next((rad for rad in (solve(one, TO_ITS_END).rms_rad for one in motions) if rad < found[best]), None)
+    if told is not None or not sum(map(len, tests)) * math.log(without / found[best]) > SURE:
+        return without if told is None else told, None
     # where a motor leaves so much of the motion, or asks for the longest change, it is no plain one behind one
     most_rad = max(NOISY * noise_rad, EXPLAINS * max(float(np.std(test.y_rad)) for test in tests))
     longest_s = NEAR * (MOST_ROWS * period_s if best.order == MEAN else LONGEST_S)
