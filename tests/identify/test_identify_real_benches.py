@@ -372,6 +372,16 @@ def test_a_dead_band_that_shows_in_few_rows_behind_reversals_is_no_rounding() ->
     assert right(answer, motor, 0.005, "tau_s", "K_rad_s_V", "fc_V")
 
 
+def test_a_dead_band_under_stairs_is_no_filter_behind_a_bridge_that_runs_free() -> None:
+    """The reading was taken for one behind a low pass of 258 ms: K was 4.6 % off beside 2.2, and tau not known."""
+    motor = RealMotor(0.3, 15.0, 0.34, dead_band_V=2.0)
+    levels_V = tuple(np.linspace(0.0, 20.0, 8)[1:].tolist())
+    found = found_in(stairs(motor, levels_V, rows=38, step_rad=2.0 * math.pi / 48.0))
+    assert found.changes == []
+    assert found.answer is not None and found.answer.verdict == "ok"
+    assert right(found.answer, motor, 0.01, "tau_s", "K_rad_s_V", "fc_V")
+
+
 def test_a_drive_that_sags_is_no_speed_that_firmware_limits() -> None:
     """The largest of four levels was taken for one that is held at a speed: tau was not known, or 12 % off beside 8."""
     motor = MOTOR._replace(dead_band_V=0.5, sag_per_V=0.03)

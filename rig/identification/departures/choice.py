@@ -516,7 +516,7 @@ class Chooser:
             trial = at_best_size(trial, law) if law.leaps else trial
             return _gain(fit, trial) - price(law), trial, (*laws, law)
 
-        is_far = self.within_steps or fit.rms_rad > FAR * fit.noise_rad
+        is_far = self.within_steps or fit.rms_rad > FAR * self.sigma_rad
         near = Enough(NEAR * self.asked.entry * unit(fit), 0.0) if is_far else ENOUGH
         first = self.promises(seen, laws)[:TRIED]
         wanted = [one for one in first if one.law.name not in left and one.gain >= price(one.law)]
@@ -527,9 +527,9 @@ class Chooser:
 
     def _hardly_shows(self, fit: Fit, richer: Fit) -> bool:
         """Whether the richer fit leaves nearly as much, far beyond noise: no further law is tried on top of it."""
-        if fit.rms_rad < FAR * fit.noise_rad:
+        if fit.rms_rad < FAR * self.sigma_rad:
             return False
-        left, all_of_it = (max(one.rms_rad**2 - fit.noise_rad**2, 1e-300) for one in (richer, fit))
+        left, all_of_it = (max(one.rms_rad**2 - self.sigma_rad**2, 1e-300) for one in (richer, fit))
         return 1.0 - math.sqrt(left / all_of_it) < FIRST_CUT
 
     def _less(self, fit: Fit, laws: tuple[Departure, ...], law: Departure) -> tuple[Fit, tuple[Departure, ...]]:
