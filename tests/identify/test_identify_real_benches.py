@@ -344,7 +344,7 @@ def stairs(
     there = (0.0, *levels_V, *levels_V[-2::-1])
     each_V = (*there, *(-one for one in there)) * 2 if rest else (*levels_V * 4, *(-one for one in levels_V * 4))
     u_V = np.repeat(each_V, rows)
-    t_s = PERIOD_S * np.arange(u_V.size)
+    t_s: np.ndarray = np.linspace(0.0, PERIOD_S * u_V.size, u_V.size, endpoint=False)
     y_rad = response(motor, Frame(duration_s=float(t_s[-1])), (t_s + 0.002, u_V), t_s, Pieces.one())
     return t_s, u_V, step_rad * np.floor(y_rad / step_rad + 0.5)
 
@@ -386,7 +386,7 @@ def test_a_drive_that_sags_is_no_speed_that_firmware_limits() -> None:
     """The largest of four levels was taken for one that is held at a speed: tau was not known, or 12 % off beside 8."""
     motor = MOTOR._replace(dead_band_V=0.5, sag_per_V=0.03)
     u_V = np.repeat([way * size for size in (1.5, 3.0, 4.5, 6.0) for way in (1.0, -1.0)], 300)
-    t_s = PERIOD_S * np.arange(u_V.size)
+    t_s: np.ndarray = np.linspace(0.0, PERIOD_S * u_V.size, u_V.size, endpoint=False)
     y_rad = response(motor, Frame(duration_s=float(t_s[-1])), (t_s + 0.002, u_V), t_s, Pieces.one())
     found = found_in((t_s, u_V, STEP_RAD * np.floor(y_rad / STEP_RAD + 0.5)))
     assert found.answer is not None and not any("firmware" in one for one in found.changes)
