@@ -615,7 +615,8 @@ def test_a_quick_motor_bends_between_the_samples_of_its_velocity(
     log.write_text("".join(f"{t:.3f},{u},{v:.5g}\n" for t, u, v in zip(t_s, u_V, v_rad_s, strict=True)))
     found = identify(read_all(log, LogFormat(LogColumn("s"), LogColumn("V"), velocity=LogColumn("rad/s"))))
     assert any("between the samples" in note for note in found.notes)
-    assert found.answer is not None and found.answer.verdict == "ok"
+    # over ten draws of that noise f_c scatters by 1.6 %: no ok, which asks for 2.5 % at 95 %
+    assert found.answer is not None and found.answer.verdict == ("doubtful" if noise else "ok")
     assert right(found.answer, motor, tau_off, "tau_s", "K_rad_s_V")
 
 
