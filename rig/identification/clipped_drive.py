@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identification.estimate import Estimate
-from rig.identification.in_pieces import MOST_ROWS, free_between, plain_in_pieces, plain_residual_rad
+from rig.identification.in_pieces import MOST_ROWS, SAG, free_between, plain_in_pieces, plain_residual_rad
 from rig.identification.lowest import lowest
 from rig.run_folder.recording.series import Steps, TimeSeries, delays_of_all_s, noise_of_all_rad
 
@@ -33,6 +33,7 @@ FEWEST_SIZES, BEYOND = 6, 0.02  # sizes of drives beyond the limit, at least, an
 # side that show a speed, at most. Residual beyond noise with such a limit over that without: a drag cuts it by half
 LIMITED, FASTEST, SURE, MOST_BESIDE, CUTS_BY_SPEED = (0.95, 0.97, 0.985), 0.98, 0.005, 10, 0.25
 FIRST_BY_SPEED, FINER_BY_SPEED = tuple(np.geomspace(1.0, 0.25, 8).tolist()), 10
+SAGS, AS_WELL = 0.05, 2.0  # of the largest drive: a sag to begin with; and its residual over that with a limit, at most
 FEWEST = 40  # rows of a part that is slower behind the longest delay, where none are taken as one
 
 
@@ -85,7 +86,11 @@ def limit_of(tests: Sequence[TimeSeries], plain: Estimate) -> Limit:
         return Limit()  # that is left where no such limit acts
     by_speed = [_best(share * top_rad_s, largest_V, tests, plain) for share in LIMITED]
     limit, left = min(by_speed, key=lambda found: found[1])
-    return limit if left < SHOWS * without and beyond(left) < most else Limit()
+    if not (left < SHOWS * without and beyond(left) < most):
+        return Limit()
+    # under a drive that sags, the speed grows ever less with the drive, too
+    sags = plain_in_pieces(tests, plain, {SAG: SAGS / largest_V})
+    return Limit() if sags.rms_rad < AS_WELL * left else limit
 
 
 def _slower(test: TimeSeries, than_rad_s: float) -> Iterator[TimeSeries]:

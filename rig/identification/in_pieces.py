@@ -55,7 +55,7 @@ BALANCED = 0.5  # share of a drive's variance that its motion leaves, at most, w
 AT_REST = 0.05  # of the largest speed: friction at rest balances anything
 POOR = 0.25  # error in blocks from which on the plain motor's numbers mean nothing, and a load is tried with it
 LOADED = 0.75  # error with the load over that without it, at most
-FORCE, DEAD_BAND, PIECE_S = ("force_sin_V", "force_cos_V"), "dead_band_V", 0.5
+FORCE, DEAD_BAND, SAG, PIECE_S = ("force_sin_V", "force_cos_V"), "dead_band_V", "sag_per_V", 0.5
 
 
 def fit_in_pieces(tests: Sequence[TimeSeries], *, free_delay: bool) -> tuple[Fit, Blocks]:
@@ -170,7 +170,8 @@ def plain_in_pieces(
     most_V = max(float(np.abs(test.u_V).max()) for test in thin)
     sizes = [name for name in bridge if not NUMBERS[name].is_shape]
     limits = limits_of(free, cut, delay_s)
-    most = {DEAD_BAND: (0.0, most_V)} | dict.fromkeys(FORCE, (-LARGEST_FORCE * most_V, LARGEST_FORCE * most_V))
+    most = {DEAD_BAND: (0.0, most_V), SAG: (0.0, 0.5 / most_V)}
+    most |= dict.fromkeys(FORCE, (-LARGEST_FORCE * most_V, LARGEST_FORCE * most_V))
     limits |= {name: most.get(name, FREE) for name in sizes}
     sigma = 1e-3 * cut.frames[0].half_travel_rad
     fitted = () if starts_alone else (*free, *sizes)

@@ -39,10 +39,11 @@ import numpy as np
 from rig.core.arrays import Array
 from rig.identification.chance import chi_squared_quantile, student_975
 from rig.identification.departures.budget import COVERAGE, Entry
+from rig.identification.departures.departure import UNIFORM
 from rig.identification.departures.fit import DELAY, POSITIVE, Fit, refitted, solve, sums_of_pieces, to_diagonal_1, unit
 from rig.identification.departures.fit import start as begin
 from rig.identification.departures.laws import LONG_DELAY_S, TAKEN
-from rig.identification.departures.nuisances import OF, UNIFORM
+from rig.identification.departures.nuisances import OF
 from rig.identification.departures.pieces import Cut
 from rig.model.real_motor import is_plain
 from rig.run_folder.recording.series import Window
@@ -176,16 +177,18 @@ def any_bend(fit: Fit, bare: Mapping[str, Fit], *, goes_along: bool = False) -> 
 
     bare         for each law of ``fit`` the fit without it
     goes_along   whether the drive always pushes the way that the shaft turns, and never rests: then f_c is told by the
-                 sizes, too
+                 sizes, too, and a dead band is in it
     """
     bent = [name for name in BY_SIZE if name in bare]
     numbers = 1 + goes_along + sum(BENDS_BY.get(name, 0) for name in bare)
     is_told = drive_sizes(fit.problem.cut) > numbers and fit.rms_rad <= LEAVES * fit.problem.sigma_rad
-    far = abs(fit.motor.sag_per_V) * float(np.abs(_drives_of(fit.problem.cut)[0]).max()) > FAR_BENT
+    largest_V = float(np.abs(_drives_of(fit.problem.cut)[0]).max())
+    far = abs(fit.motor.sag_per_V) * largest_V > FAR_BENT
     if not bent:
         return ()
     if is_told and not far:
-        share = 2.0 * abs(fit.motor.sag_per_V) * fit.motor.dead_band_V
+        dead_V = min(TAKEN * largest_V, fit.motor.fc_V) if goes_along else fit.motor.dead_band_V
+        share = 2.0 * abs(fit.motor.sag_per_V) * dead_V
         of_both = Entry(ORDER, 0.0, share * fit.motor.K_rad_s_V, share * fit.motor.fc_V, laws=("sag", "dead_band"))
         return (of_both,) if share else ()
     here = np.array([getattr(fit.motor, name) for name in OF])

@@ -29,7 +29,7 @@ from rig.identification.departures.nuisances import OF, Nuisances
 from rig.identification.departures.outside import INSTEAD_OF, instead_of_sag, outside
 from rig.identification.departures.pieces import Coupling, Cut
 from rig.identification.departures.profile import profiles, untold
-from rig.identification.departures.rounding import by_rounding
+from rig.identification.departures.rounding import by_neighbours, by_rounding
 from rig.identification.driven import bears
 from rig.identification.estimate import PARAMETERS, Estimate, intervals
 from rig.identification.further import Further, agreeing
@@ -488,8 +488,9 @@ def motor_law(
     whole = replace(begun.whole, frames=parts.problem.cut.frames[: len(tests)])
     blocks = Blocks.of(whole, fit.motor.tau_s)
     predicts = held_out(blocks, begun.chooser.problem(blocks.cut, choice.laws, math.inf), fit.motor)
+    grown = np.maximum(by_rounding(fit, begun.chooser.step_rad), by_neighbours(fit))
     of_model = model_error(parts, blocks.cut, predicts.error, len(choice.laws)).with_rounding(
-        by_rounding(fit, begun.chooser.step_rad)[[fit.problem.free.index(name) for name in OF]]
+        grown[[fit.problem.free.index(name) for name in OF]]
     )
     of_levels = levels_line(parts, level) if any(law.name == LEVEL_EACH for law in choice.laws) else ()
     bench = begun.chooser.bench

@@ -7,8 +7,8 @@ rows or a ramp, is to a slower motor no more than its middle and its variance s^
 difference over half of these rows, so that their noise hardly grows.
 
 The change is looked for with which the plain motor explains pieces of the tests best. It counts where the plain motor
-leaves more than noise, and most of that goes; but not where a dead band explains more, or a bridge that is free between
-its pulses: they lag, too.
+leaves more than noise, and most of that goes. Not where a dead band and a sag explain more, or a bridge that is free
+between its pulses: they lag, too.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from rig.identification.in_pieces import (
     PIECE_ITERATIONS,
     PIECE_S,
     ROUGHLY,
+    SAG,
     free_between,
     plain_in_pieces,
 )
@@ -279,16 +280,15 @@ def _behind(
         cuts = NEARLY_ALL if plain.spoiled else CUTS
         if beyond(found[best]) >= cuts**2 * beyond(without):
             return without, None
-    band = {**bridge, DEAD_BAND: SMALL * max(float(np.abs(test.u_V).max()) for test in tests)}
+    largest_V = max(float(np.abs(test.u_V).max()) for test in tests)
+    band = {**bridge, DEAD_BAND: SMALL * largest_V, SAG: SMALL / largest_V}
     # at each reversal it lags as a filter does; and where the drive is small, a bridge that is free between its pulses;
     # and a hanging load bends the motion between reversals, which a long mean would do, too
     others = (bridge, band, {**band, **free_between(tests)}, {**bridge, **LOAD})
     motions = (plain_in_pieces(tests, plain, one) for one in others)
-    if (
-        any(solve(one, TO_ITS_END).rms_rad < found[best] for one in motions)
-        or not sum(map(len, tests)) * math.log(without / found[best]) > SURE
-    ):
-        return without, None
+    told = next((rad for rad in (solve(one, TO_ITS_END).rms_rad for one in motions) if rad < found[best]), None)
+    if told is not None or not sum(map(len, tests)) * math.log(without / found[best]) > SURE:
+        return without if told is None else told, None
     # where a motor leaves so much of the motion, or asks for the longest change, it is no plain one behind one
     most_rad = max(NOISY * noise_rad, EXPLAINS * max(float(np.std(test.y_rad)) for test in tests))
     longest_s = NEAR * (MOST_ROWS * period_s if best.order == MEAN else LONGEST_S)

@@ -361,6 +361,66 @@ def test_a_speed_that_firmware_limits_is_named_and_the_drive_is_what_holds_it() 
     assert right(answer, MOTOR, 0.03, "tau_s", "K_rad_s_V") and right(answer, MOTOR, 0.1, "fc_V")
 
 
+def stairs(
+    motor: RealMotor, levels_V: tuple[float, ...], *, rows: int, step_rad: float = STEP_RAD, rest: bool = True
+) -> Recorded:
+    """Levels that are held for so many rows; with ``rest``, from 0 V up, down again, the other way, and all of it anew.
+
+    Nearly nothing in it coasts or brakes: there a dead band is friction.
+    """
+    there = (0.0, *levels_V, *levels_V[-2::-1])
+    each_V = (*there, *(-one for one in there)) * 2 if rest else (*levels_V * 4, *(-one for one in levels_V * 4))
+    u_V = np.repeat(each_V, rows)
+    t_s: np.ndarray = np.linspace(0.0, PERIOD_S * u_V.size, u_V.size, endpoint=False)
+    y_rad = response(motor, Frame(duration_s=float(t_s[-1])), (t_s + 0.002, u_V), t_s, Pieces.one())
+    return t_s, u_V, step_rad * np.floor(y_rad / step_rad + 0.5)
+
+
+LEVELS_V = tuple(float(one) for one in np.arange(1, 9) * 0.875)
+
+
+@pytest.mark.parametrize("more", [{"sag_per_V": 0.02}, {"friction_sin_V": 0.1}, {"force_sin_V": 0.1}])
+def test_stairs_that_do_not_tell_a_dead_band_do_not_tell_friction_either(more: dict[str, float]) -> None:
+    """With a sag it was ok, with f_c 144 % off and K 3.6 % off beside 0.1; with a force f_c 150 % off beside 67."""
+    motor = MOTOR._replace(dead_band_V=0.9, **more)
+    answer = answered(stairs(motor, LEVELS_V, rows=50))
+    assert answer.verdict == "doubtful" and answer.grade is not None and answer.grade["fc_V"].value is None
+    for name in ("K_rad_s_V", "fc_V"):
+        half = answer.grade[name].u95
+        assert half is not None and abs(getattr(answer, name) - getattr(motor, name)) < max(half, 1e-3), name
+
+
+def test_a_dead_band_that_shows_in_few_rows_behind_reversals_is_no_rounding() -> None:
+    """99 of 100 rows were off by less than half a step of the sensor: f_c was not known."""
+    motor = RealMotor(0.04, 7.3, 0.12, dead_band_V=0.15)
+    levels_V = tuple(np.linspace(0.32, 6.0, 7).tolist())
+    answer = answered(stairs(motor, levels_V, rows=125, step_rad=2.0 * math.pi / 4096.0, rest=False))
+    assert answer.verdict == "ok" and [law.name for law in answer.law or ()] == ["dead_band"]
+    assert right(answer, motor, 0.005, "tau_s", "K_rad_s_V", "fc_V")
+
+
+def test_a_dead_band_under_stairs_is_no_filter_behind_a_bridge_that_runs_free() -> None:
+    """The reading was taken for one behind a low pass of 258 ms: K was 4.6 % off beside 2.2, and tau not known."""
+    motor = RealMotor(0.3, 15.0, 0.34, dead_band_V=2.0)
+    levels_V = tuple(np.linspace(0.0, 20.0, 8)[1:].tolist())
+    found = found_in(stairs(motor, levels_V, rows=38, step_rad=2.0 * math.pi / 48.0))
+    assert found.changes == []
+    assert found.answer is not None and found.answer.verdict == "ok"
+    assert right(found.answer, motor, 0.01, "tau_s", "K_rad_s_V", "fc_V")
+
+
+def test_a_drive_that_sags_is_no_speed_that_firmware_limits() -> None:
+    """The largest of four levels was taken for one that is held at a speed: tau was not known, or 12 % off beside 8."""
+    motor = MOTOR._replace(dead_band_V=0.5, sag_per_V=0.03)
+    u_V = np.repeat([way * size for size in (1.5, 3.0, 4.5, 6.0) for way in (1.0, -1.0)], 300)
+    t_s: np.ndarray = np.linspace(0.0, PERIOD_S * u_V.size, u_V.size, endpoint=False)
+    y_rad = response(motor, Frame(duration_s=float(t_s[-1])), (t_s + 0.002, u_V), t_s, Pieces.one())
+    found = found_in((t_s, u_V, STEP_RAD * np.floor(y_rad / STEP_RAD + 0.5)))
+    assert found.answer is not None and not any("firmware" in one for one in found.changes)
+    assert found.answer.grade is not None and found.answer.grade["tau_s"].grade == "exact"
+    assert right(found.answer, motor, 0.005, "tau_s", "K_rad_s_V", "fc_V")
+
+
 @pytest.mark.evidence
 def test_a_velocity_that_is_smoothed_twice_is_undone_twice() -> None:
     t_s, u_V, y_rad = recorded(MOTOR, (0.0, 3.0, 5.0, 7.0), rows=3000)
@@ -582,7 +642,8 @@ def test_a_quick_motor_bends_between_the_samples_of_its_velocity(
     log.write_text("".join(f"{t:.3f},{u},{v:.5g}\n" for t, u, v in zip(t_s, u_V, v_rad_s, strict=True)))
     found = identify(read_all(log, LogFormat(LogColumn("s"), LogColumn("V"), velocity=LogColumn("rad/s"))))
     assert any("between the samples" in note for note in found.notes)
-    assert found.answer is not None and found.answer.verdict == "ok"
+    # over ten draws of that noise f_c scatters by 1.6 %: no ok, which asks for 2.5 % at 95 %
+    assert found.answer is not None and found.answer.verdict == ("doubtful" if noise else "ok")
     assert right(found.answer, motor, tau_off, "tau_s", "K_rad_s_V")
 
 

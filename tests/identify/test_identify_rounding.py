@@ -15,7 +15,7 @@ from rig.identification.departures.choice import WITHIN_STEP
 from rig.identification.departures.fit import CORE, Fit, Problem, limits_of, solve, start, unit
 from rig.identification.departures.nuisances import OF
 from rig.identification.departures.pieces import Cut
-from rig.identification.departures.rounding import by_rounding
+from rig.identification.departures.rounding import by_neighbours, by_rounding
 from rig.identification.motions import repeats
 from rig.identification.motor_law import motor_law
 from rig.identification.noise import Noise
@@ -154,3 +154,22 @@ def test_rests_that_are_one_chance_scatter_a_fit_less_and_leave_it_within_the_st
         assert of_once < 0.75 * of_rows, name
     assert max(float(np.abs(fit.residual_rad).max()) for fit in once) < WITHIN_STEP * STEP_RAD
     assert max(float(np.abs(fit.residual_rad).max()) for fit in as_rows) > WITHIN_STEP * STEP_RAD
+
+
+def test_the_sum_of_noisy_velocities_scatters_a_fit_as_is_said() -> None:
+    """Each sample's noise is in two steps of the sum: tau of a tachometer's log scattered by 1.5 times its interval."""
+    test = square()
+    cut = Cut.whole([test], 0.01)
+    fits = []
+    for seed in range(PHASES):
+        noise = 0.1 * np.random.default_rng(seed).standard_normal(test.y_rad.size)
+        walk_rad = 0.5 * test.period_s * np.cumsum(noise + np.append(0.0, noise[:-1]))
+        given = Cut.whole([replace(test, y_rad=test.y_rad + walk_rad)], 0.01)
+        problem = Problem(given, CORE, limits_of(CORE, cut, (0.0, 0.0)), 1e-3, noise=Noise(1e3, 1e6))
+        fits.append(solve(start(problem, RealMotor(0.17, 6.5, 0.5))))
+    numbers = np.array([[math.log(f.motor.tau_s), math.log(f.motor.K_rad_s_V), f.motor.fc_V] for f in fits])
+    as_white = np.mean([variances(fit) for fit in fits], axis=0)
+    told = np.mean([by_neighbours(fit)[AT] for fit in fits], axis=0)
+    assert np.sqrt(told) == pytest.approx(np.sqrt(numbers.var(axis=0) / as_white), rel=0.25)
+    assert told.min() > 1.5
+    assert np.all(by_neighbours(fitted(test, rounded(test, 0.3))) == 1.0)

@@ -42,6 +42,7 @@ def parse(folder: Path, text: str, log: LogFormat = COUNTED) -> Recording:
         f"# millis pwm counts\n{ROWS}",
         f"time,duty,position\n[ms],[pwm],[counts]\n{ROWS}",  # the row of units is right
         f"# my bench\nTime (ms),Motor PWM,Encoder counts\n{ROWS}",
+        f"{NAMED.splitlines()[0]}\n# motor test 3\nms,-,-\n{ROWS}",  # as many words as there are columns
         "counts,other,pwm,t\n0,a,255,0\n360,b,-51,10\n720,,0,20\n",
         "Lage,andere,Spannung,Zeit\n0,a,255,0\n360,b,-51,10\n720,,0,20\n",
         "current,speed,ms,pwm,counts\n9,9,0,255,0\n9,9,10,-51,360\n9,9,20,0,720\n",

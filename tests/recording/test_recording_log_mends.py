@@ -329,6 +329,16 @@ def test_only_times_since_the_row_before_are_added_up(steps: list[float], begins
         assert np.diff(added_up(steps_s, notes)) == pytest.approx(steps_s[1:]) and notes
 
 
+@pytest.mark.parametrize("late", [0, 9])
+def test_times_since_the_row_before_may_be_alike(late: int) -> None:
+    """They were refused: "repeats the time before it"."""
+    steps_s, notes = np.full(40, 0.005), list[str]()
+    steps_s[:late] += 0.001
+    assert np.diff(added_up(steps_s, notes)) == pytest.approx(steps_s[1:]) and notes
+    still = np.full(40, 84.0)
+    assert added_up(still, notes) is still
+
+
 def test_a_velocity_that_is_held_over_rows_is_read_where_it_is_new_and_keeps_each_drive(
     tmp_path: Path, bench: Bench
 ) -> None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from rig.core.arrays import Array
 from rig.identification.departures.blocks import Blocks, share_cut
-from rig.identification.departures.departure import NOTHING, Bench, Departure
+from rig.identification.departures.departure import NOTHING, UNIFORM, Bench, Departure
 from rig.identification.departures.fit import (
     ENOUGH,
     Enough,
@@ -465,9 +465,13 @@ class Chooser:
             fit, laws = steps[0]
 
     def is_rounding(self, fit: Fit) -> bool:
-        """Whether each row is off by no more than its rounding to the sensor's steps, which repeats as a wave would."""
+        """Whether each row is off by no more than its rounding to the sensor's steps, which repeats as a wave would.
+
+        A few rows that are far off, as behind reversals, are no rounding.
+        """
+        most_rad = WITHIN_STEP * self.step_rad
         off_rad = np.abs(fit.problem.cut.counting(fit.residual_rad))
-        return float(np.mean(off_rad <= WITHIN_STEP * self.step_rad)) >= NEARLY_ALL
+        return fit.rms_rad <= most_rad / UNIFORM and float(np.mean(off_rad <= most_rad)) >= NEARLY_ALL
 
     def _dropped(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
         """Without laws that are not worth their numbers."""

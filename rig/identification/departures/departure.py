@@ -7,6 +7,7 @@ starts from a few values, and is fitted with the rest.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -14,6 +15,7 @@ from rig.core.motor_numbers import NUMBERS, PARTS
 from rig.identification.thinning import COARSEST_PATH_RAD
 
 LARGEST = 10.0  # size of a law, in its ranges: beyond it no bench is, and a fit loses its way
+UNIFORM = math.sqrt(3.0)  # half width of a uniform distribution over its standard deviation
 LARGEST_FORCE = 3.0  # of a law over the angle, times the largest drive
 NOTHING: Mapping[str, float] = {}
 

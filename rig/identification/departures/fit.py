@@ -311,8 +311,15 @@ def begun(problem: Problem, motor: RealMotor, starts: Array, *, goes_on: bool = 
 
 
 def refitted(fit: Fit, problem: Problem | None = None, motor: RealMotor | None = None) -> Fit:
-    """``fit`` with another problem, or from another motor, ready for ``solve``. The pieces stay the same."""
-    return replace(begun(problem or fit.problem, motor or fit.motor, fit.starts), iterates=fit.iterates)
+    """``fit`` with another problem, or from another motor, ready for ``solve``. The pieces stay the same.
+
+    What another dead band takes of the drive may have been friction to the fit, or not: it begins from the better one.
+    """
+    motors = [motor or fit.motor]
+    if more_V := motors[0].dead_band_V - fit.motor.dead_band_V:
+        motors.append(motors[0]._replace(fc_V=max(motors[0].fc_V - more_V, 0.0)))
+    begins = [begun(problem or fit.problem, one, fit.starts) for one in motors]
+    return replace(min(begins, key=lambda one: one.cost), iterates=fit.iterates)
 
 
 def solve(fit: Fit, iterations: int = ITERATIONS, enough: Enough = ENOUGH) -> Fit:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rig.core.arrays import Array
 from rig.identification.departures.choice import Columns
-from rig.identification.departures.departure import NOTHING, Bench, Departure
+from rig.identification.departures.departure import NOTHING, UNIFORM, Bench, Departure
 from rig.identification.departures.fit import POSITIVE, Fit, Rows, to_diagonal_1, unit
 
 Begins = NDArray[np.int64]
@@ -23,7 +23,6 @@ FEWEST_PIECES = 6  # that say by how much a law's evidence differs between them
 SHOWN = 1e-9  # of the squares of a law's columns: what is left beside the fit's own numbers, if it is no rounding
 LARGEST = 1e100  # of a column, in units of the noise: its squares are finite
 SINGULAR, UNTOLD = 1e-13, 1e-3  # of the largest eigenvalue: none; a number's share of what a record does not tell
-UNIFORM = math.sqrt(3.0)  # half width of a uniform distribution over its standard deviation
 
 
 @dataclass(frozen=True)

@@ -74,7 +74,8 @@ def untold(fit: Fit, laws: Sequence[Departure], chooser: Chooser) -> list[Array]
         while tries:  # from the usual size on, each twice the one before; then between two of them
             trial = solve(refitted(one, motor=one.motor._replace(**{name: size})), TRIAL_ITERATIONS)
             moved = abs(_gain(trial.motor, largest_V) / _gain(fit.motor, largest_V) - 1.0)
-            if _rise(trial, fit) <= CHANCE and moved < AS_FRICTION * size / largest_V:
+            rise, as_friction = _rise(trial, fit), moved < AS_FRICTION * size / largest_V
+            if rise < -CHANCE or (rise <= CHANCE and as_friction):
                 one, likely = trial, size
             else:
                 excluded = size
@@ -88,9 +89,13 @@ def untold(fit: Fit, laws: Sequence[Departure], chooser: Chooser) -> list[Array]
 
 
 def _gain(m: RealMotor, u_V: float) -> float:
-    """K at a drive: a bridge that lets the motor run free between its pulses brakes for their share of the time."""
-    idle = max(1.0 - (u_V - m.dead_band_V) / m.full_drive_V, 0.0) if m.free_between > 0.0 else 0.0
-    return m.K_rad_s_V / (1.0 - m.free_between * (1.0 - m.viscous_share) * idle)
+    """K at a drive, which may sag.
+
+    A bridge that lets the motor run free between its pulses brakes for their share of the time.
+    """
+    beyond_V = u_V - m.dead_band_V
+    idle = max(1.0 - beyond_V / m.full_drive_V, 0.0) if m.free_between > 0.0 else 0.0
+    return m.K_rad_s_V * (1.0 - 2.0 * m.sag_per_V * beyond_V) / (1.0 - m.free_between * (1.0 - m.viscous_share) * idle)
 
 
 def best_size(fit: Fit, law: Departure, laws: Sequence[Departure], chooser: Chooser) -> Fit:

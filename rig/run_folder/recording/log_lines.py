@@ -203,7 +203,9 @@ class _Shape:
         if len(names) == self.count + 1 and names[-1].lower() in ("", "comment"):
             names.pop()
         known = sum(_is_known(name) for name in names)
-        remarks = is_remark and known < 2 and not (known == 1 and not any(" " in name for name in names))
+        # of few words one may be a known one by chance
+        may_name = known == 1 and mark == self.delimiter and not any(" " in name for name in names)
+        remarks = is_remark and known < 2 and not may_name
         torn = not has_units and 2 * sum(map(is_number, names)) >= len(names)
         return None if len(names) != self.count or remarks or torn or all(map(is_number, names)) else names
 

@@ -36,7 +36,9 @@ _WRAP_PERIODS = 3.0  # longest step over the end of a clock
 _TURNS_ON = 0.2  # of the largest step of a position: by so much a shaft turns over the end of a clock
 _COUNTS, _JUMPS = 0.9, 1.3  # share of rows in which a counter of rows rises; of the largest other bend, a jump back
 _FAR_ROWS = 5  # that rows out of order may be from their place
-_FALLS = 0.2  # share of rows in which the time since the row before is shorter than that of the row before
+# Share of rows in which the time since the row before is shorter than that of the row before; or share that are alike,
+# and no longer than so, s
+_FALLS, _MOSTLY, _LONGEST_S = 0.2, 0.5, 0.5
 _BEGINS_PERIODS = 3.0  # from the first run's time: where another run begins
 _FEWEST_HELD, _HELD = 20, 0.97  # changes of a velocity, and the share at whole multiples of rows, for it to be held
 # Of a velocity that is cut off: rows in a row, and in all, at the end of its range; the least jump to it, in steps of
@@ -136,9 +138,13 @@ def once(raw: Columns, notes: list[str]) -> Columns:
 def added_up(t: Floats, notes: list[str]) -> Floats:
     """Times that each say how long after the row before a row came, as times; with a note. Else as they are.
 
-    No clock of rows in order goes back so often.
+    No clock of rows in order goes back so often, nor says one time in most of its rows.
     """
-    if t.size < FIT_ROWS or t[1:].min() <= 0.0 or float(np.mean(np.diff(t) < 0.0)) < _FALLS:
+    if t.size < FIT_ROWS or t[1:].min() <= 0.0:
+        return t
+    usual_s = float(np.median(t))
+    is_even = usual_s <= _LONGEST_S and float(np.mean(t == usual_s)) > _MOSTLY
+    if not is_even and float(np.mean(np.diff(t) < 0.0)) < _FALLS:
         return t
     notes.append("each time is that since the row before: they were added up")
     return np.asarray(np.cumsum(t))
