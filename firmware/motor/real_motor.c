@@ -34,7 +34,7 @@ static const double STEP_OF_STRIBECK = 0.2; /* of the Stribeck velocity; longer 
 #if defined(__GNUC__) && !defined(__AVR__)
 #define INLINE inline __attribute__((always_inline))
 #else
-#define INLINE inline
+#define INLINE
 #endif
 
 /* fmin and fmax of numbers, which compilers have inline. */
@@ -460,7 +460,7 @@ static real_state moved(const motor *restrict m, double sign, const real_state *
     if (!(fabs(c - s->taus) <= ROUNDED * c)) { /* whole steps and what is left to a row take turns */
         const weights kept = s->k;
         const double taus = s->taus;
-        s->k = fabs(c - s->kept_taus) <= ROUNDED * c ? s->kept : weights_of(c);
+        s->k = EXACT && fabs(c - s->kept_taus) <= ROUNDED * c ? s->kept : weights_of(c);
         s->taus = c;
         s->kept = kept;
         s->kept_taus = taus;
