@@ -41,6 +41,8 @@ def lost_share(tests: Sequence[TimeSeries], plain: Estimate, law: MotorLaw) -> f
     if not is_asked or any(test.t_u_s is not None or test.reads in ("speed", "samples") for test in tests):
         return 0.0
 
+    motor = Theta(plain.tau_s, plain.K_rad_s_V, plain.fc_V, plain.asym_V, plain.delay_s)
+
     def of_pieces(share: float) -> float:
         return plain_residual_rad([_with(test, share) for test in tests], plain)
 
@@ -50,7 +52,6 @@ def lost_share(tests: Sequence[TimeSeries], plain: Estimate, law: MotorLaw) -> f
         motor = Theta(*found.fit.motor[: len(PARAMETERS)])
         return found.rms_rad**2 / laws_rad**2
 
-    motor = Theta(plain.tau_s, plain.K_rad_s_V, plain.fc_V, plain.asym_V, plain.delay_s)
     # a share is a number as a law has one: where laws explain more, all that follows would be in vain
     laws_rad = EACH_LAW ** (len(law.found) - 1) * law.growth[-1][1]
     near, _ = lowest(of_pieces, -MOST, MOST, STEPS)
