@@ -25,9 +25,17 @@ static const double STEP_OF_TAU = sizeof(double) < 8u ? 0.05 : 0.2; /* s/s; any 
 static const double SHORT_LAG_S = 1e-3;     /* of a shorter lag the derivative would suffer before the motion does */
 static const double STEP_OF_LAG = 0.065;    /* s/s, at 1 V s of fading drive times its time constant; longer the less there is */
 static const double STEP_OF_TURN = 0.15;    /* rad of the phase of a force over position */
+static const double SMALL_TURN = 0.25;      /* rad, of which a short power series is exact */
 static const double STEP_OF_BRISTLE = 0.25; /* of the length over which bristles bend */
 static const double STEP_OF_SWING = 0.04;   /* rad of the swing of a motor on a spring */
 static const double STEP_OF_STRIBECK = 0.2; /* of the Stribeck velocity; longer beyond its range */
+
+/* What a step calls again and again is set in where it is called; a small chip has no room for that. */
+#if defined(__GNUC__) && !defined(__AVR__)
+#define INLINE inline __attribute__((always_inline))
+#else
+#define INLINE
+#endif
 
 /* fmin and fmax of numbers, which compilers have inline. */
 static double least(double a, double b)
@@ -53,7 +61,7 @@ typedef struct {
     REAL_MOTOR_NUMBERS(REAL_MOTOR_FIELD)
     double centre_rad, half_travel_rad, start_s, duration_s;
     bool turns, cogs, falls, transmits, sided, linear;
-    double mean_cosine;
+    double mean_cosine, back_V_s_rad;
 } motor;
 
 static motor motor_of(const real_motor *numbers)
@@ -71,29 +79,30 @@ static motor motor_of(const real_motor *numbers)
     m.linear = m.linear && (IS_LINEAR[AT_##name] || m.name == 0.0);
     REAL_MOTOR_NUMBERS(REAL_MOTOR_LINEAR)
     m.mean_cosine = m.turns ? sin(m.half_travel_rad) / m.half_travel_rad : 0.0;
+    m.back_V_s_rad = (1.0 - m.viscous_share) / m.K_rad_s_V;
     return m;
 }
 
 /* The part of 1/K that is back-EMF, V. */
-static double back_emf(const motor *m, double v)
+static INLINE double back_emf(const motor *m, double v)
 {
-    return (1.0 - m->viscous_share) * v / m->K_rad_s_V;
+    return m->back_V_s_rad * v;
 }
 
 /* Share of the time for which the drive `w` connects the motor: it counts where the motor runs free between two pulses. */
-static double pulse_share(const motor *m, double w)
+static INLINE double pulse_share(const motor *m, double w)
 {
     return fabs(w) < m->full_drive_V ? fabs(w) / m->full_drive_V : 1.0;
 }
 
 /* Share of the back-EMF that brakes: between two pulses some of it may not. */
-static double braking(const motor *m, double w)
+static INLINE double braking(const motor *m, double w)
 {
     return m->free_between != 0.0 ? 1.0 - m->free_between * (1.0 - pulse_share(m, w)) : 1.0;
 }
 
 /* What drives at the drive `w` behind the stage: less the back-EMF that brakes, V. */
-static double net_drive(const motor *m, double w, double v)
+static INLINE double net_drive(const motor *m, double w, double v)
 {
     return w - back_emf(m, v) * braking(m, w);
 }
@@ -104,7 +113,7 @@ typedef struct {
     double idle, against;
 } bridge;
 
-static bridge passed(const motor *m, double w, double v)
+static INLINE bridge passed(const motor *m, double w, double v)
 {
     bridge all = {1.0, 1.0};
     if (m->lag_s <= 0.0 && (m->runs_free != 0.0 || m->no_brake != 0.0)) {
@@ -116,10 +125,11 @@ static bridge passed(const motor *m, double w, double v)
 
 /* The motor's torque, V, at the drive `w`, which a supply with a resistance lets the current lower: the bridge connects it
  * for the share w of the time. */
-static double torque(const motor *m, double w, double v)
+static INLINE double torque(const motor *m, double w, double v)
 {
     const bridge share = passed(m, w, v);
-    return share.idle * share.against * net_drive(m, w, v) / (1.0 + m->source_per_V2 * w * w);
+    const double net = share.idle * share.against * net_drive(m, w, v);
+    return m->source_per_V2 != 0.0 ? net / (1.0 + m->source_per_V2 * w * w) : net;
 }
 
 /* A drive behind its dead band, up to the one that a sagging stage gives the most of: beyond it gives no less. */
@@ -165,8 +175,39 @@ static wave wave_at(const motor *m, double y)
     return here;
 }
 
+static const double SINE[] = {-1.0 / 6.0, 1.0 / 120.0, -1.0 / 5040.0, 1.0 / 362880.0, -1.0 / 39916800.0};
+static const double COSINE[] = {-1.0 / 24.0, 1.0 / 720.0, -1.0 / 40320.0, 1.0 / 3628800.0, -1.0 / 479001600.0};
+
+/* Turns sine and cosine of an angle on by a small one, by its power series: what they leave out is below the rounding. */
+static INLINE void turn_on(double *sine, double *cosine, double by)
+{
+    const double q = by * by;
+    const double s = by + by * q * (SINE[0] + q * (SINE[1] + q * (SINE[2] + q * (SINE[3] + q * SINE[4]))));
+    const double c = q * (0.5 + q * (COSINE[0] + q * (COSINE[1] + q * (COSINE[2] + q * (COSINE[3] + q * COSINE[4])))));
+    const double was = *sine;
+    *sine += *cosine * s - was * c;
+    *cosine -= was * s + *cosine * c;
+}
+
+/* The waves `y` rad on from where they are `from`: the stages of a step are near its start. */
+static wave wave_near(const motor *m, wave from, double start, double y)
+{
+    const double by = y - start;
+    const double cog_by = m->cogs ? m->cogging_per_rad * by : 0.0;
+    if (!EXACT || !(fabs(by) < SMALL_TURN) || !(fabs(cog_by) < SMALL_TURN)) {
+        return wave_at(m, y);
+    }
+    if (m->turns) {
+        turn_on(&from.sine, &from.cosine, by);
+    }
+    if (m->cogs) {
+        turn_on(&from.cog_sine, &from.cog_cosine, cog_by);
+    }
+    return from;
+}
+
 /* The wave with these shares, the cosine less its mean over the travel. */
-static double over_travel(const motor *m, wave here, double sine, double cosine)
+static INLINE double over_travel(const motor *m, wave here, double sine, double cosine)
 {
     return m->turns ? sine * here.sine + cosine * (here.cosine - m->mean_cosine) : 0.0;
 }
@@ -178,7 +219,7 @@ static double force(const motor *m, wave here)
 }
 
 /* Torque that load friction sees, at the drive `w`; and what has another law of motion where it turns. */
-static double transmitted(const motor *m, double w, double v, wave here)
+static INLINE double transmitted(const motor *m, double w, double v, wave here)
 {
     return torque(m, w, v) + m->load_outside * force(m, here);
 }
@@ -204,7 +245,8 @@ static torque_side side_of(const motor *m, const real_state *at, wave here)
 static double left_of_net(const motor *m, double sign, torque_side side, double w)
 {
     const double load = side.sign * sign * m->load_friction;
-    return (1.0 - load) * side.passed.idle * side.passed.against / (1.0 + m->source_per_V2 * w * w);
+    const double left = (1.0 - load) * side.passed.idle * side.passed.against;
+    return m->source_per_V2 != 0.0 ? left / (1.0 + m->source_per_V2 * w * w) : left;
 }
 
 /* Derivative by the velocity of the target velocity of a motor that neither drags nor has a Stribeck effect. */
@@ -215,7 +257,7 @@ static double by_velocity(const motor *m, double sign, torque_side side, double 
     return viscous + (1.0 - m->viscous_share) * (1.0 - share);
 }
 
-static double level(const motor *m, double speed, wave here, double t_s)
+static INLINE double level(const motor *m, double speed, wave here, double t_s)
 {
     double total = m->fc_V;
     if (m->drift != 0.0) {
@@ -240,7 +282,7 @@ static double pull_at_rest(const motor *m, double w, wave here)
     return torque(m, w, 0.0) + m->bias_V - force(m, here);
 }
 
-static double load_at(const motor *m, double w, double v, wave here)
+static INLINE double load_at(const motor *m, double w, double v, wave here)
 {
     return m->load_friction == 0.0 ? 0.0 : m->load_friction * fabs(transmitted(m, w, v, here));
 }
@@ -255,7 +297,7 @@ static double stiffness(const motor *m, double level_V)
     return least(m->bristle_V_rad, level_V / LEAST_BEND_RAD);
 }
 
-static double target(const motor *m, double sign, const real_state *at, wave here, double t_s)
+static INLINE double target(const motor *m, double sign, const real_state *at, wave here, double t_s)
 {
     const double speed = sign * at->v;
     const double friction = m->bristle_V_rad > 0.0 ? at->f : sign * level(m, speed, here, t_s);
@@ -352,8 +394,8 @@ typedef struct {
     double v2, y2, f2, v3, y3, f3, v4, y4, f4;
     double slide;
     wave here1, here2, here3, here4, end; /* the last at `end_y`, where a step ended that was looked at */
-    weights k, b;                         /* of the motion, and of the bristles */
-    double taus, end_y;                   /* time constants of the step that `k` is of; nan: none yet */
+    weights k, kept, b;                   /* of the motion, of its last step of another length, and of the bristles */
+    double taus, kept_taus, end_y;        /* time constants of the steps that `k` and `kept` are of; nan: none yet */
     /* of a linear motion: side of its torque; target velocity at a velocity of 0, by velocity, and its growth in the step */
     torque_side side;
     double steady, by_v, growth;
@@ -415,9 +457,13 @@ static real_state moved(const motor *restrict m, double sign, const real_state *
     }
     const double tau = m->tau_s;
     const double c = h / tau;
-    if (!(fabs(c - s->taus) <= ROUNDED * c)) {
-        s->k = weights_of(c);
+    if (!(fabs(c - s->taus) <= ROUNDED * c)) { /* whole steps and what is left to a row take turns */
+        const weights kept = s->k;
+        const double taus = s->taus;
+        s->k = EXACT && fabs(c - s->kept_taus) <= ROUNDED * c ? s->kept : weights_of(c);
         s->taus = c;
+        s->kept = kept;
+        s->kept_taus = taus;
     }
     const weights k = s->k;
     const double near = 0.5 * c * k.mean;
@@ -432,20 +478,20 @@ static real_state moved(const motor *restrict m, double sign, const real_state *
     in.y = s->y2 = p + 0.5 * h * s->a1 - tau * in.v;
     in.f = s->f2 = b.half * at->f + near_f * n1;
     in.w = lagged(m, staged_V, at->w, 0.5 * h);
-    s->here2 = wave_at(m, in.y);
+    s->here2 = wave_near(m, s->here1, at->y, in.y);
     s->a2 = target(m, sign, &in, s->here2, middle);
     const double n2 = bending(m, sign, &in, s->here2, middle) + s->slide * in.f;
     in.v = s->v3 = k.half * at->v + near * s->a2;
     in.y = s->y3 = p + 0.5 * h * s->a2 - tau * in.v;
     in.f = s->f3 = b.half * at->f + near_f * n2;
-    s->here3 = wave_at(m, in.y);
+    s->here3 = wave_near(m, s->here1, at->y, in.y);
     s->a3 = target(m, sign, &in, s->here3, middle);
     const double n3 = bending(m, sign, &in, s->here3, middle) + s->slide * in.f;
     in.v = s->v4 = k.half * s->v2 + near * (2.0 * s->a3 - s->a1);
     in.y = s->y4 = p + h * s->a3 - tau * in.v;
     in.f = s->f4 = b.half * s->f2 + near_f * (2.0 * n3 - n1);
     in.w = lagged(m, staged_V, at->w, h);
-    s->here4 = wave_at(m, in.y);
+    s->here4 = wave_near(m, s->here1, at->y, in.y);
     s->a4 = target(m, sign, &in, s->here4, t + h);
     const double n4 = bending(m, sign, &in, s->here4, t + h) + s->slide * in.f;
     in.v = k.keep * at->v + c * (k.b1 * s->a1 + k.b2 * (s->a2 + s->a3) + k.b4 * s->a4);
@@ -529,7 +575,7 @@ typedef struct {
     stages in;
 } step;
 
-static const step FIRST_STEP = {.in = {.taus = NAN, .end_y = NAN}}; /* whose weights are not known yet */
+static const step FIRST_STEP = {.in = {.taus = NAN, .kept_taus = NAN, .end_y = NAN}}; /* whose weights are not known yet */
 
 /* The next step of a motor that friction holds, at most `longest_s`: to its end, or to where it breaks away. */
 static void rest(const motor *m, const real_state *at, double staged_V, double t_s, double longest_s, step *s)

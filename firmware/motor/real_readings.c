@@ -73,7 +73,7 @@ static double load_slopes(const motor *m, double sign, torque_side side, const r
     const double brakes = braking(m, w);
     const double net = net_drive(m, w, at->v);
     const double by_full = pulses < 1.0 ? back * m->free_between / m->full_drive_V : 0.0; /* a change of the share, per V */
-    const double by_supply = 1.0 / (1.0 + m->source_per_V2 * w * w);
+    const double by_supply = m->source_per_V2 != 0.0 ? 1.0 / (1.0 + m->source_per_V2 * w * w) : 1.0;
     const double idle = side.passed.idle;
     const double against = side.passed.against;
     const double seen = idle * against * by_supply * net + m->load_outside * force(m, here);
@@ -372,17 +372,24 @@ static void through(const motor *restrict m, const slopes *d, const real_state *
     for (int i = 0; i < columns; i++) {
         const int64_t p = d->which[i];
         const double drive = d->given[p];
-        const double from = d->w[p] - drive;
-        const double mid = drive + from * half + (p == AT_lag_s ? by_lag[0] : 0.0);
-        const double far = drive + from * keep + (p == AT_lag_s ? by_lag[1] : 0.0);
         a1_of[i] = d1.aw * d->w[p] + d->stage[0][p];
-        a2_of[i] = d2.aw * mid + d->stage[2][p];
-        a3_of[i] = d3.aw * mid + d->stage[4][p];
-        a4_of[i] = d4.aw * far + d->stage[6][p];
-        for (int stage = 0; bristles && stage < STAGES / 2; stage++) {
-            d->by_stage[2 * stage + 1][i] = d->stage[2 * stage + 1][p];
-        }
+        a2_of[i] = d2.aw * drive + d->stage[2][p];
+        a3_of[i] = d3.aw * drive + d->stage[4][p];
+        a4_of[i] = d4.aw * drive + d->stage[6][p];
         of_tau = p == AT_tau_s ? i : of_tau;
+    }
+    for (int i = 0; lag > 0.0 && i < columns; i++) { /* and what the drive behind the lag is off */
+        const int64_t p = d->which[i];
+        const double off = d->w[p] - d->given[p];
+        const double mid = off * half + (p == AT_lag_s ? by_lag[0] : 0.0);
+        a2_of[i] += d2.aw * mid;
+        a3_of[i] += d3.aw * mid;
+        a4_of[i] += d4.aw * (off * keep + (p == AT_lag_s ? by_lag[1] : 0.0));
+    }
+    for (int stage = 0; bristles && stage < STAGES / 2; stage++) {
+        for (int i = 0; i < columns; i++) {
+            d->by_stage[2 * stage + 1][i] = d->stage[2 * stage + 1][d->which[i]];
+        }
     }
     /* by tau the weights change, too */
     double tau_v = 0.0, tau_y = 0.0;

@@ -41,14 +41,17 @@ def lost_share(tests: Sequence[TimeSeries], plain: Estimate, law: MotorLaw) -> f
     if not is_asked or any(test.t_u_s is not None or test.reads in ("speed", "samples") for test in tests):
         return 0.0
 
+    motor = Theta(plain.tau_s, plain.K_rad_s_V, plain.fc_V, plain.asym_V, plain.delay_s)
+
     def of_pieces(share: float) -> float:
         return plain_residual_rad([_with(test, share) for test in tests], plain)
 
     def of_whole(share: float) -> float:
-        left_rad = refit([_with(test, share) for test in tests], motor, PARAMETERS, delays_of_all_s(tests)).rms_rad
-        return left_rad**2 / laws_rad**2
+        nonlocal motor  # of a share near by: from there on the way is short
+        found = refit([_with(test, share) for test in tests], motor, PARAMETERS, delays_of_all_s(tests))
+        motor = Theta(*found.fit.motor[: len(PARAMETERS)])
+        return found.rms_rad**2 / laws_rad**2
 
-    motor = Theta(plain.tau_s, plain.K_rad_s_V, plain.fc_V, plain.asym_V, plain.delay_s)
     # a share is a number as a law has one: where laws explain more, all that follows would be in vain
     laws_rad = EACH_LAW ** (len(law.found) - 1) * law.growth[-1][1]
     near, _ = lowest(of_pieces, -MOST, MOST, STEPS)

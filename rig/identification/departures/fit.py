@@ -361,16 +361,17 @@ class _Promise:
 
     def __init__(self) -> None:
         self._off = 1.0  # what the last promise was off, of itself
-        self._gain, self._least, self._tries = math.inf, 0.0, 0
+        self._gain, self._least, self._tries, self._likely = math.inf, 0.0, 0, 1
 
     def made(self, gain: float, least: float) -> None:
         """By the undamped step from the next place on; ``least``: gain that is not worth a step."""
+        self._likely = min(self._tries, 2) or 1  # where the last place's first step was in vain, this one's is, too
         self._gain, self._least, self._tries = gain, least, 0
 
     def goes_on(self) -> bool:
-        """Whether the descent will go on from the next trial, as far as can be told: not after a step in vain."""
+        """Whether the descent will go on from the next trial, as far as can be told."""
         self._tries += 1
-        return self._tries == 1 and self._gain * self._off > self._least
+        return self._tries == self._likely and self._gain * self._off > self._least
 
     def is_kept(self, gain: float) -> bool:
         """Whether a step gained what was promised, but for a gain that is not worth a step."""
