@@ -87,6 +87,15 @@ def test_a_dead_band_that_swallows_a_small_drive_is_not_excluded_by_its_slope_at
     assert "dead band of the drive, which these tests do not exclude" in one.reasons
 
 
+def test_a_drag_is_not_excluded_by_the_slopes_of_a_valley_beside_the_deepest() -> None:
+    """Its fit comes to rest with 0.4 % less friction, where the sum of squares is 0.24 larger: K is 6.5 % off."""
+    one = row(CAMPAIGN.model_copy(update={"seed": 301201}), 265, False)
+    assert one.kinds == ("drag 0.01",)
+    assert one.verdict == "doubtful" and one.error is not None and one.u95 is not None
+    assert 0.06 < -one.error[1] < one.u95[1]
+    assert "drag with the square of the speed, which these tests do not exclude" in one.reasons
+
+
 def test_a_dead_band_that_was_found_may_have_another_size() -> None:
     """Its smallest drive is 35 mV; 37 mV of dead band swallow it, and the 20 mV that it has explain as much."""
     one = row(CAMPAIGN.model_copy(update={"seed": 14}), 1928, False)

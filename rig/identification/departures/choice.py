@@ -30,6 +30,7 @@ from rig.identification.departures.fit import (
     Rows,
     limits_of,
     refitted,
+    sigma_of,
     solve,
     solved,
     start,
@@ -70,6 +71,8 @@ BENT = 2.0  # growth of the residual in a fit with its noise beyond which it is 
 FAR, FIRST_CUT = 8.0, 0.08  # residual over noise of a fit where a law must show at once, by this share of it
 LEAPS = (0.35, 0.5, 0.7, 0.85, 1.2, 1.45, 1.7, 2.0)  # sizes that are looked at beside that of a law that leaps, over it
 LEAP_ITERATIONS = 4
+# From where a fit begins anew beside its end, standard deviations of friction; and its steps
+ASIDE, NEAR_BY = 2.0, 6
 VALLEY = (0.5, 1.0, 2.0)  # sizes that are looked at about that with which a law in a valley begins, over it
 ONE_WAVE_RAD = 0.5  # between two waves at the ends of the travel, up to which they may be one
 ALIKE = 1e-11  # of a singular value of scaled columns: such columns say the same
@@ -201,7 +204,19 @@ class Chooser:
             if least is None or rises[least] >= self.asked.predicts:
                 break
             fit, laws = self._less(fit, laws, least)
-        return Choice(laws, fit, tuple(growth))
+        return Choice(laws, self._deepest(fit), tuple(growth))
+
+    def _deepest(self, fit: Fit) -> Fit:
+        """The best of this fit and of two that begin with less friction and with more.
+
+        Whether a shaft comes to rest at a reversal makes valleys beside one another. In one that is hardly less deep
+        the slopes say the wrong thing of laws that hide.
+        """
+        if "fc_V" not in fit.problem.free:
+            return fit
+        apart_V = ASIDE * sigma_of(fit, "fc_V")
+        others = [fit.motor._replace(fc_V=max(fit.motor.fc_V + by_V, 0.0)) for by_V in (-apart_V, apart_V)]
+        return min((fit, *(solve(refitted(fit, motor=one), NEAR_BY) for one in others)), key=lambda one: one.cost)
 
     def _begun(self, cut: Cut, laws: tuple[Departure, ...], motor: RealMotor) -> Fit:
         """The motor on these pieces, to be fitted so that rows count less which are farther off than the others.

@@ -457,6 +457,14 @@ class Normal:
         return change[:-1], -(of_starts @ change)
 
 
+def sigma_of(fit: Fit, name: str) -> float:
+    """Standard deviation of a number of the fit, by its noise."""
+    normal = Normal.of(fit.rows, fit.problem.cut)
+    covariance = np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit)
+    at = fit.problem.free.index(name)
+    return max(math.sqrt(max(float(covariance[at, at]), 0.0)), 1e-12)
+
+
 def solved(matrix: Array, gradient: Array, held: NDArray[np.bool_], singular: float = 1e-14) -> Array:
     """The step (m,) of normal equations, each number in its unit; what is ``held`` stays.
 

@@ -20,7 +20,7 @@ import numpy as np
 from rig.core.arrays import Array
 from rig.identification.departures.choice import CHANCE, TRIAL_ITERATIONS, Chooser, without
 from rig.identification.departures.departure import Bench, Departure
-from rig.identification.departures.fit import Fit, Normal, refitted, solve, unit
+from rig.identification.departures.fit import Fit, refitted, sigma_of, solve, unit
 from rig.identification.departures.nuisances import OF
 from rig.model.real_motor import RealMotor
 
@@ -119,7 +119,7 @@ def _hidden(fit: Fit, law: Departure, laws: Sequence[Departure], chooser: Choose
     peaks: list[tuple[float, Array, Array]] = []
     for at in np.flatnonzero((np.diff(found.rise)[:-1] <= 0.0) & (np.diff(found.rise)[1:] > 0.0)) + 1:
         best = _at(found.fits[at], fit, law, laws, chooser)
-        size, sigma, rise = getattr(best.motor, name), _sigma(best, name), _rise(best, fit)
+        size, sigma, rise = getattr(best.motor, name), sigma_of(best, name), _rise(best, fit)
         width = math.sqrt(2.0 * math.pi) * sigma
         if rise < found.rise[at] and width < found.widths[at] and abs(size - found.sizes[at]) < found.widths[at]:
             beside &= np.abs(found.sizes - size) > ITS_OWN * sigma
@@ -141,19 +141,11 @@ def _found(fit: Fit, law: Departure, laws: Sequence[Departure], chooser: Chooser
     others = [one for one in laws if one is not law]
     problem = replace(chooser.problem(fit.problem.cut, others, math.inf), noise=fit.problem.noise)
     bare = refitted(fit, problem, without(fit.motor, law))
-    sigma = _sigma(fit, name)
+    sigma = sigma_of(fit, name)
     found = _by_size(fit, bare, law, chooser.bench)
     odds = found.widths / (math.sqrt(2.0 * math.pi) * sigma) * np.exp(-0.5 * found.rise)
     beside = np.abs(found.sizes - getattr(fit.motor, name)) > ITS_OWN * sigma
     return Profile(law, odds[beside], found.moves[beside], found.spread[beside], found=True)
-
-
-def _sigma(fit: Fit, name: str) -> float:
-    """Standard deviation of a number of the fit, by its noise."""
-    normal = Normal.of(fit.rows, fit.problem.cut)
-    covariance = np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit)
-    at = fit.problem.free.index(name)
-    return max(math.sqrt(max(float(covariance[at, at]), 0.0)), 1e-12)
 
 
 def _rise(one: Fit, fit: Fit) -> float:
