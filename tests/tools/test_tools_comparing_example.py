@@ -1,4 +1,4 @@
-"""The runs of the example of docs/compare.md, and of motors with laws: rig takes their configs, and they differ as told."""
+"""The runs of the example of docs/compare.md, and of motors with laws: rig takes their configs, they differ as told."""
 
 from __future__ import annotations
 
