@@ -15,6 +15,7 @@ from rig.design.outlook import Task, law_of, told
 from rig.design.planned_test import Design, PlannedTest, Reading, RelayGains, Room
 from rig.design.stop_rule import RestNoise, StopRule
 from rig.identification.breakaway import breakaway
+from rig.identification.departures.laws import LONG_DELAY_S
 from rig.identification.estimate import PARAMETERS, Estimate
 from rig.identification.live import LiveEstimate, LiveFit, LiveRows, LiveSettings
 from rig.identification.preprocessing import from_recording
@@ -156,8 +157,7 @@ class Advisor:
             estimate = self._fit.estimate(seeks_laws=True) or estimate
             stop = self._rule.confirm(estimate)
         if stop is not None:
-            laws = " and ".join(estimate.laws).replace("_", " ")
-            return Advice(estimate, stop=f"{stop}; with {laws}" if laws else stop)
+            return Advice(estimate, stop=stop + _beside(estimate))
         if self._rule.noise_in_doubt and self._can_rest:
             self._rests += 1
             self._rests_from = self._rows
@@ -271,6 +271,13 @@ class Advisor:
         test = self._given.test
         law = law_of(test if isinstance(test, RelayGains) else test.strokes)
         return design.seconds <= BETTER * told(task, law).seconds
+
+
+def _beside(estimate: LiveEstimate) -> str:
+    """What to say beside why it is enough: its laws, and what the answer will not know however long the tests are."""
+    laws = " and ".join(estimate.laws).replace("_", " ")
+    late = "; so long a lag may be of the readings, and then f_c is not known"
+    return (f"; with {laws}" if laws else "") + (late if estimate.framed.motor.lag_s >= LONG_DELAY_S else "")
 
 
 def kind_of(test: PlannedTest) -> Kind:

@@ -249,7 +249,8 @@ def _behind(
     without = min(plain_in_pieces(tests, plain, bridge).rms_rad, plain.rms_rad)
     if without < SHOWS * noise_rad:
         return without, None  # over pieces the plain motor leaves no more than noise
-    near_rad = FAR * min(tried.values(), default=math.inf)
+    least_rad = min(tried.values(), default=math.inf)
+    near_rad = FAR * least_rad if without > PROMISING * least_rad else math.inf  # such a bridge was missing there
     every = [one for one in _first(tests, period_s) if tried.get(one, 0.0) < near_rad]
     each: dict[Smoothing, float] = {}
     for one in every:

@@ -54,8 +54,23 @@ def test_supply_and_calibration_do_not_cancel_between_benches(tmp_path: Path) ->
 
 
 def test_what_tests_of_another_kind_could_explain_is_said(tmp_path: Path) -> None:
-    runs = [write_run(tmp_path / "a", Told(dead_band_V=0.02)), write_run(tmp_path / "b", DRIFTED)]
+    told = Told(dead_band_V=0.02), replace(DRIFTED, dead_band_V=0.02)
+    runs = [write_run(tmp_path / name, one) for name, one in zip("ab", told, strict=True)]
     assert "may come from dead band, which they do not exclude" in compared(*runs)["measurably"]["words"]
+
+
+def test_what_one_run_excludes_and_another_does_not_is_no_difference_of_the_motor(tmp_path: Path) -> None:
+    """Of pairs of one motor with laws 10 % differed measurably. What is more than that still differs."""
+    told = Told(), replace(DRIFTED, dead_band_V=0.02), Told(fc_V=0.48 * 1.1, dead_band_V=0.02), Told(fc_V=0.481)
+    runs = [write_run(tmp_path / name, one, hour=k) for k, (name, one) in enumerate(zip("abcd", told, strict=True))]
+    within, beyond = compared(*runs[:2]), compared(runs[0], runs[2])
+    assert not within["measurably"]["differs"] and "only some of their tests exclude" in within["measurably"]["words"]
+    low, high = within["runs"][1]["off_ci95_percent"]["fc_V"]
+    line_V = 1.96 * 0.01  # of the budget's half width, whose coverage is 2; supply, which both have, cancels
+    assert 0.5 * (high - low) == pytest.approx(100.0 * line_V / 0.48, rel=0.05)
+    assert beyond["measurably"]["differs"]
+    several = compared(runs[0], runs[2], runs[3])
+    assert several["measurably"]["odd"] == ["c"]
 
 
 def test_friction_that_changes_over_the_travel_is_compared_over_one_travel(tmp_path: Path) -> None:

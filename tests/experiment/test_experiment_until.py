@@ -119,6 +119,15 @@ def test_an_unbalanced_load_is_found_while_the_tests_run_and_they_end_when_it_is
     assert replay(folder).is_same
 
 
+def test_a_lag_that_may_be_of_the_readings_ends_the_tests_with_what_the_answer_will_not_know(tmp_path: Path) -> None:
+    """The line said f_c is known to 0.1 %, and the answer that it is not known: 9 of 9 such motors."""
+    motor = {"tau_s": 0.1463, "K_rad_s_V": 4.65, "parts": {"lag_s": 0.02}}
+    motor |= dict.fromkeys(("fc_plus_V", "fc_minus_V", "fs_plus_V", "fs_minus_V"), 0.268)
+    stopped = run(written(tmp_path, {"interval_percent": 1.0}, motor=motor), tmp_path)[1].stopped
+    assert stopped is not None and stopped.known and stopped.live[-1].laws == "lag"
+    assert stopped.why.endswith("; with lag; so long a lag may be of the readings, and then f_c is not known")
+
+
 @pytest.mark.evidence
 @pytest.mark.usefixtures("plain_motor")
 def test_a_known_motor_gets_its_first_test_at_once(known: tuple[Path, RunResult], tmp_path: Path) -> None:

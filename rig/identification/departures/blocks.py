@@ -126,7 +126,7 @@ class Blocks:
         def left(held: NDArray[np.bool_]) -> Array:
             trained = motor
             if not held.all():
-                given = replace(problem, cut=self.cut.only(~held), robust_rad=math.inf, noise=WHITE)
+                given = replace(problem, cut=self.cut.only(~held), robust_rad=math.inf, noise=WHITE, known=None)
                 trained = solve(begin(given, motor), FOLD_ITERATIONS, FOLD_ENOUGH).motor
             unseen = Blocks(self.cut.only(held), self.shown[held[self.cut.piece]])
             return unseen.squares(unseen.off_rad(trained, problem, starts_known=starts_known))

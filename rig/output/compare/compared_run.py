@@ -20,6 +20,7 @@ from rig.run_folder.results import Answer, EstimateResult, FoundLawResult, RunMe
 
 COVERAGE = 2.0  # of the half widths in a budget
 FRICTION = "friction_over_position"
+SCALES = ("supply", "calibration", "clock")  # lines of the budget that are not about laws
 TYPE_A = "scatter"  # the budget's line of the noise, which the covariance holds already
 
 
@@ -243,13 +244,28 @@ def shared_variance(runs: Sequence[ComparedRun], bench: Sequence[int]) -> dict[i
     }
 
 
+def own_variance(runs: Sequence[ComparedRun], bench: Sequence[int]) -> Array:
+    """The (n, 3) variances of what a run's budget has more of, or less, than the middle one of its bench.
+
+    An effect that one run's tests exclude, and those of another do not, cancels between them no farther than this.
+    """
+    found = np.zeros((len(runs), 3))
+    for number in set(bench):
+        at = [k for k, run in enumerate(runs) if bench[k] == number and run.lines is not None]
+        laws = [[line for source, line in (runs[k].lines or {}).items() if source not in SCALES] for k in at]
+        sizes = np.sqrt([sum((line**2 for line in lines), np.zeros(3)) for lines in laws])
+        found[at] += (sizes - np.sort(sizes, axis=0)[(len(at) - 1) // 2]) ** 2 if at else 0.0
+    return found
+
+
 def covariance_of(runs: Sequence[ComparedRun], bench: Sequence[int]) -> Array:
     """The covariance of all runs' values, (3 n, 3 n), run by run.
 
-    Each run's noise is its own. What else may be wrong moves all runs of a bench alike: it cancels between them.
-    Between benches nothing is shared.
+    Each run's noise is its own, and ``own_variance``. What else may be wrong moves all runs of a bench alike: it
+    cancels between them. Between benches nothing is shared.
     """
-    whole = _block_diagonal([run.covariance for run in runs])
+    own = own_variance(runs, bench)
+    whole = _block_diagonal([run.covariance + np.diag(more) for run, more in zip(runs, own, strict=True)])
     shared = shared_variance(runs, bench)
     if len(shared) == 1:
         return whole

@@ -14,6 +14,7 @@ from rig.core.errors import CauseError
 from rig.core.estimators import MAIN
 from rig.core.signals import plain
 from rig.output.compare.compared_run import (
+    SCALES,
     ComparedRun,
     NotComparableError,
     bench_differences,
@@ -21,6 +22,7 @@ from rig.output.compare.compared_run import (
     covariance_of,
     in_units,
     over_one_travel,
+    own_variance,
     read_run,
     shared_variance,
     uncancelled,
@@ -50,7 +52,6 @@ LEVEL = 0.05  # probability of a false alarm of each answer
 MOST_RUNS = 200
 REPEATS = 4  # other runs from which the scatter from run to run is taken
 FOR_A_TREND = 3  # runs
-SCALES = ("supply", "calibration", "clock")  # lines of the budget that are not about laws
 WORDS = {"tau_s": "tau", "K_rad_s_V": "K", "fc_V": "f_c"}
 
 # What a motor does whose temperature nobody holds: 2.5 K from run to run (standard deviation).
@@ -192,7 +193,7 @@ def _by_start(runs: Sequence[ComparedRun]) -> list[ComparedRun]:
 
 def _variances(runs: Sequence[ComparedRun], bench: Sequence[int]) -> Array:
     """(n, 3) variances of the values beside those of the largest bench: each run's noise, and what is not shared."""
-    noise = np.array([np.diag(run.covariance) for run in runs])
+    noise = np.array([np.diag(run.covariance) for run in runs]) + own_variance(runs, bench)
     largest = max(bench, key=bench.count)
     shared = shared_variance(runs, bench)
     return noise + np.array([0.0 if one == largest else 1.0 for one in bench])[:, None] * (
@@ -261,7 +262,10 @@ def _percent(key: str, by: float) -> float:
 
 def _measurably(runs: Sequence[ComparedRun], values: Array, odd: Sequence[int] | None, chance: float) -> Difference:
     if chance >= LEVEL:
-        words = f"No: their noise explains how they differ (chance {_chance(chance)})."
+        words = (
+            "No: their noise, and what only some of their tests exclude, explain how they differ "
+            f"(chance {_chance(chance)})."
+        )
         return Difference(differs=False, chance=chance, odd=() if len(runs) > 2 else None, words=words)
     names = None if odd is None else tuple(runs[k].name for k in odd)
     if len(runs) == 2:
