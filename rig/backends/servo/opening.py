@@ -169,17 +169,18 @@ def try_switch(link: ServoLink, setup: ServoSetup, store: BeforeStore, asks: Ask
         if link.sure(marked) == _MARK:
             words = f"servo {id} was silent, but has not started anew: a plug of its bus was out, its supply not cut"
             raise Fault("SERVO_SWITCH_UNTRIED", words)
+        _await_supply(link, setup, asks)
     finally:
         with contextlib.suppress(Fault):  # without an answer the file keeps it
             link.hold(marked, before)
             store.clear()
 
 
-def await_supply(link: ServoLink, setup: ServoSetup, asks: Asks) -> None:
+def _await_supply(link: ServoLink, setup: ServoSetup, asks: Asks) -> None:
     """Wait until the supply behind a closed switch has risen; one that does not within the time is refused later on.
 
     A servo that was fed too little meanwhile may keep that as an error until it starts anew: so it does, then. It has
-    just lost its supply, so it forgets nothing.
+    just lost its supply, so it forgets nothing but what rig has marked and still puts back.
     Raises Fault LINK_*, SERVO_REFUSED, INTERRUPTED.
     """
     voltage, until_s, risen = link.model.role("voltage"), link.now_s() + _RISES_S, 0

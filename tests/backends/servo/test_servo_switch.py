@@ -27,6 +27,7 @@ from rig.core import person
 from rig.core.faults import Fault
 
 SWITCH = {"supply_switch": "the red one"}
+OWNERS = 500  # what the register that rig marks held
 LOST = {"position_p_gain", "goal_pwm", "torque_limit"}  # what a servo may forget with its supply
 
 
@@ -150,9 +151,13 @@ def test_a_switch_that_leaves_a_part_of_the_supply_cuts_nothing(
 def test_a_supply_that_rises_slowly_behind_its_switch_is_waited_for_and_said_so(
     tau_s: float, protocol: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It was refused at once. A Dynamixel that was fed too little meanwhile keeps an error until it starts anew."""
+    """It was refused at once. A Dynamixel that was fed too little meanwhile keeps an error until it starts anew.
+
+    What rig had marked it had put back before that start, and so it was lost.
+    """
     bench = Bench(protocol, setup=SWITCH)
-    supply_V, closed_s, asked = bench.setup.supply_V, math.nan, []
+    supply_V, closed_s, asked, marked = bench.setup.supply_V, math.nan, [], bench.setup.model.roles["marked"]
+    bench.servo.put(marked, OWNERS)
 
     def hand(words: str, is_seen: Callable[[], bool]) -> bool:
         nonlocal closed_s
@@ -181,6 +186,7 @@ def test_a_supply_that_rises_slowly_behind_its_switch_is_waited_for_and_said_so(
         bench.driver.safe_stop()
     bench.driver.close()
     assert f"rises to {supply_V:g} V: rig waits, 10 s at most" in asked[2] or tau_s == 0.2
+    assert bench.servo.value(marked) == OWNERS and bench.store.load(bench.setup.model) is None
     assert bench.wrong() == [] and not bench.servo.is_on
 
 
