@@ -157,6 +157,10 @@ def try_switch(link: ServoLink, setup: ServoSetup, store: BeforeStore, asks: Ask
 
         return is_seen
 
+    def unmark() -> None:
+        link.hold(marked, before)
+        store.clear()
+
     before = link.value(marked)
     store.save(link.model, id, {marked: before}, {marked: [_MARK]})
     try:
@@ -166,14 +170,16 @@ def try_switch(link: ServoLink, setup: ServoSetup, store: BeforeStore, asks: Ask
             raise Fault("SERVO_SWITCH_UNTRIED", words)
         if not asks(f"servo {id} is silent: close the switch again", sees(silence=False)):
             raise Fault("SERVO_SWITCH_UNTRIED", f"servo {id} did not come back")
-        if link.sure(marked) == _MARK:
+        if (anew := link.sure(marked)) == _MARK:
             words = f"servo {id} was silent, but has not started anew: a plug of its bus was out, its supply not cut"
             raise Fault("SERVO_SWITCH_UNTRIED", words)
+        store.save(link.model, id, {marked: before}, {marked: [_MARK, anew]})
         _await_supply(link, setup, asks)
-    finally:
+    except BaseException:
         with contextlib.suppress(Fault):  # without an answer the file keeps it
-            link.hold(marked, before)
-            store.clear()
+            unmark()
+        raise
+    unmark()  # a run would write its own values into that file
 
 
 def _await_supply(link: ServoLink, setup: ServoSetup, asks: Asks) -> None:

@@ -127,6 +127,33 @@ def test_who_is_killed_while_a_switch_is_tried_leaves_no_mark_for_good(
     assert bench.registers() == before
 
 
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_mark_that_nothing_confirms_is_put_back_ends_the_opening(
+    protocol: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It went on, and the run's own values took the place of the owner's in the file."""
+    bench = Bench(protocol, setup=SWITCH)
+    marked, link = bench.setup.model.roles["marked"], bench.driver._link
+    bench.servo.put(marked, OWNERS)
+    real, held = link.hold, list[int]()
+
+    def hold(name: str, value: int) -> bool:
+        held.append(value)
+        if held[1:] == [OWNERS]:
+            raise Fault("LINK_TIMEOUT")
+        return real(name, value)
+
+    monkeypatch.setattr(link, "hold", hold)
+    monkeypatch.setattr(person, "asks", Hand(bench))
+    with pytest.raises(Fault, match="LINK_TIMEOUT"):
+        bench.opened()
+    bench.driver.close()
+    monkeypatch.setattr(person, "asks", None)
+    bench.another().open()
+    bench.driver.close()
+    assert bench.servo.value(marked) == OWNERS
+
+
 @pytest.mark.parametrize("share", [0.9, 0.5, 0.3])
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_a_switch_that_leaves_a_part_of_the_supply_cuts_nothing(
