@@ -24,7 +24,6 @@ from rig.backends.servo.bus import Ask, ServoLink, bus_of
 from rig.backends.servo.guardian import Guardian, beat, stopped_by_keeper
 from rig.backends.servo.opening import (
     ServoSetup,
-    await_supply,
     error_words,
     leave_no_trace,
     look,
@@ -225,7 +224,6 @@ class ServoDriver(RegisterDriver[Ask]):
         remarks = look(self._link, self._setup, left.others)
         if self._setup.supply_switch and person.asks is not None:
             try_switch(self._link, self._setup, self._store, person.asks)
-            await_supply(self._link, self._setup, person.asks)
             look(self._link, self._setup, remarks)  # it has started anew
             self._is_switch_tried = True
         opened = set_up(self._link, self._setup, self._store, self._have_it_watched)

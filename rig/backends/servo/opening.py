@@ -157,6 +157,10 @@ def try_switch(link: ServoLink, setup: ServoSetup, store: BeforeStore, asks: Ask
 
         return is_seen
 
+    def unmark() -> None:
+        link.hold(marked, before)
+        store.clear()
+
     before = link.value(marked)
     store.save(link.model, id, {marked: before}, {marked: [_MARK]})
     try:
@@ -166,20 +170,23 @@ def try_switch(link: ServoLink, setup: ServoSetup, store: BeforeStore, asks: Ask
             raise Fault("SERVO_SWITCH_UNTRIED", words)
         if not asks(f"servo {id} is silent: close the switch again", sees(silence=False)):
             raise Fault("SERVO_SWITCH_UNTRIED", f"servo {id} did not come back")
-        if link.sure(marked) == _MARK:
+        if (anew := link.sure(marked)) == _MARK:
             words = f"servo {id} was silent, but has not started anew: a plug of its bus was out, its supply not cut"
             raise Fault("SERVO_SWITCH_UNTRIED", words)
-    finally:
+        store.save(link.model, id, {marked: before}, {marked: [_MARK, anew]})
+        _await_supply(link, setup, asks)
+    except BaseException:
         with contextlib.suppress(Fault):  # without an answer the file keeps it
-            link.hold(marked, before)
-            store.clear()
+            unmark()
+        raise
+    unmark()  # a run would write its own values into that file
 
 
-def await_supply(link: ServoLink, setup: ServoSetup, asks: Asks) -> None:
+def _await_supply(link: ServoLink, setup: ServoSetup, asks: Asks) -> None:
     """Wait until the supply behind a closed switch has risen; one that does not within the time is refused later on.
 
     A servo that was fed too little meanwhile may keep that as an error until it starts anew: so it does, then. It has
-    just lost its supply, so it forgets nothing.
+    just lost its supply, so it forgets nothing but what rig has marked and still puts back.
     Raises Fault LINK_*, SERVO_REFUSED, INTERRUPTED.
     """
     voltage, until_s, risen = link.model.role("voltage"), link.now_s() + _RISES_S, 0

@@ -27,6 +27,7 @@ from rig.core import person
 from rig.core.faults import Fault
 
 SWITCH = {"supply_switch": "the red one"}
+OWNERS = 500  # what the register that rig marks held
 LOST = {"position_p_gain", "goal_pwm", "torque_limit"}  # what a servo may forget with its supply
 
 
@@ -126,6 +127,33 @@ def test_who_is_killed_while_a_switch_is_tried_leaves_no_mark_for_good(
     assert bench.registers() == before
 
 
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_mark_that_nothing_confirms_is_put_back_ends_the_opening(
+    protocol: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It went on, and the run's own values took the place of the owner's in the file."""
+    bench = Bench(protocol, setup=SWITCH)
+    marked, link = bench.setup.model.roles["marked"], bench.driver._link
+    bench.servo.put(marked, OWNERS)
+    real, held = link.hold, list[int]()
+
+    def hold(name: str, value: int) -> bool:
+        held.append(value)
+        if held[1:] == [OWNERS]:
+            raise Fault("LINK_TIMEOUT")
+        return real(name, value)
+
+    monkeypatch.setattr(link, "hold", hold)
+    monkeypatch.setattr(person, "asks", Hand(bench))
+    with pytest.raises(Fault, match="LINK_TIMEOUT"):
+        bench.opened()
+    bench.driver.close()
+    monkeypatch.setattr(person, "asks", None)
+    bench.another().open()
+    bench.driver.close()
+    assert bench.servo.value(marked) == OWNERS
+
+
 @pytest.mark.parametrize("share", [0.9, 0.5, 0.3])
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_a_switch_that_leaves_a_part_of_the_supply_cuts_nothing(
@@ -150,9 +178,13 @@ def test_a_switch_that_leaves_a_part_of_the_supply_cuts_nothing(
 def test_a_supply_that_rises_slowly_behind_its_switch_is_waited_for_and_said_so(
     tau_s: float, protocol: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It was refused at once. A Dynamixel that was fed too little meanwhile keeps an error until it starts anew."""
+    """It was refused at once. A Dynamixel that was fed too little meanwhile keeps an error until it starts anew.
+
+    What rig had marked it had put back before that start, and so it was lost.
+    """
     bench = Bench(protocol, setup=SWITCH)
-    supply_V, closed_s, asked = bench.setup.supply_V, math.nan, []
+    supply_V, closed_s, asked, marked = bench.setup.supply_V, math.nan, [], bench.setup.model.roles["marked"]
+    bench.servo.put(marked, OWNERS)
 
     def hand(words: str, is_seen: Callable[[], bool]) -> bool:
         nonlocal closed_s
@@ -181,6 +213,7 @@ def test_a_supply_that_rises_slowly_behind_its_switch_is_waited_for_and_said_so(
         bench.driver.safe_stop()
     bench.driver.close()
     assert f"rises to {supply_V:g} V: rig waits, 10 s at most" in asked[2] or tau_s == 0.2
+    assert bench.servo.value(marked) == OWNERS and bench.store.load(bench.setup.model) is None
     assert bench.wrong() == [] and not bench.servo.is_on
 
 
