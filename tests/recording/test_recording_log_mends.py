@@ -345,7 +345,8 @@ def test_times_since_the_row_before_that_scatter_a_little_are_no_clock_that_begi
 ) -> None:
     """Microseconds within 3 of 5,000: "the clock begins anew after 4e-06 s", and then "repeats the time before it"."""
     rng = np.random.default_rng(5)
-    steps_us = 5000 + rng.integers(-3, 4, bench.ms.size) * (rng.random(bench.ms.size) < share)
+    off_us = rng.integers(-3, 4, bench.ms.size) * (rng.random(bench.ms.size) < share)
+    steps_us = 5000.0 + off_us.astype(np.float64)
     log = replace(COUNTED, time=LogColumn("us", "dt"))
     path = log_of(tmp_path, {"dt": steps_us, "pwm": bench.pwm, "counts": bench.counts})
     recording = read(path, log)
