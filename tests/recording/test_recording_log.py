@@ -58,6 +58,18 @@ def test_columns_by_their_usual_names_or_their_order(tmp_path: Path, text: str) 
 
 
 @pytest.mark.parametrize(
+    "head", ["# time a b", "# time\ta\tb", "my bench,a,b\n# time a b", "# one two three\n# time a b"]
+)
+def test_names_behind_a_sign_of_a_remark_stand_apart_as_they_like(tmp_path: Path, head: str) -> None:
+    """A header of numpy has blanks where the rows have commas; with one usual name it was refused."""
+    named = (LogColumn("ms", "time"), LogColumn("pwm", "a"), LogColumn("counts", "b"))
+    log = LogFormat(*named, counts_per_turn=1440, full=255, supply_V=12)
+    assert parse(tmp_path, f"{head}\n{ROWS}", log).y_rad[2] == pytest.approx(0.5 * TURN)
+    below = parse(tmp_path, f"time,a,b\n# motor test 3\n{ROWS}", log)
+    assert below.y_rad[2] == pytest.approx(0.5 * TURN)
+
+
+@pytest.mark.parametrize(
     ("time", "drive", "position"),
     [("a:ms", "b:pwm", "c:counts"), ("1:ms", "2:pwm", "3:counts"), ("ms", "2:pwm", "c:counts")],
 )

@@ -339,6 +339,21 @@ def test_times_since_the_row_before_may_be_alike(late: int) -> None:
     assert added_up(still, notes) is still
 
 
+@pytest.mark.parametrize("share", [0.2, 0.7])
+def test_times_since_the_row_before_that_scatter_a_little_are_no_clock_that_begins_anew(
+    tmp_path: Path, bench: Bench, share: float
+) -> None:
+    """Microseconds within 3 of 5,000: "the clock begins anew after 4e-06 s", and then "repeats the time before it"."""
+    rng = np.random.default_rng(5)
+    off_us = rng.integers(-3, 4, bench.ms.size) * (rng.random(bench.ms.size) < share)
+    steps_us = 5000.0 + off_us.astype(np.float64)
+    log = replace(COUNTED, time=LogColumn("us", "dt"))
+    path = log_of(tmp_path, {"dt": steps_us, "pwm": bench.pwm, "counts": bench.counts})
+    recording = read(path, log)
+    assert np.diff(recording.t_s) == pytest.approx(PERIOD_S, abs=5e-6)
+    assert [note for note in recording.notes if "begins anew" in note] == []
+
+
 def test_a_velocity_that_is_held_over_rows_is_read_where_it_is_new_and_keeps_each_drive(
     tmp_path: Path, bench: Bench
 ) -> None:

@@ -138,8 +138,10 @@ def table_in(given: Sequence[str]) -> Found | None:
         return None
     units: tuple[str, ...] = ()
     line, notes, used = rows[0], list[str](), set[int]()
+    head = (shape.heading(line, below_names=True) or () for line in lines[: rows[0] - 1])
+    named = next((k for k, fields in enumerate(head, 1) if any(map(_is_known, fields))), rows[0])
     for k in range(rows[0] - 1, 0, -1):
-        fields = None if names else shape.heading(lines[k - 1], bool(units))
+        fields = None if names else shape.heading(lines[k - 1], bool(units), below_names=named < k)
         said = None if fields is None else units_of(fields)
         if said is not None and not units and k > 1:
             units = said
@@ -185,7 +187,7 @@ class _Shape:
             not fields[k] or _is_value(fields[k], self.delimiter) for k in self.of_numbers
         )
 
-    def heading(self, line: str, has_units: bool) -> list[str] | None:
+    def heading(self, line: str, has_units: bool = False, *, below_names: bool = False) -> list[str] | None:
         """The names, or units, in a line above the rows; None where it is neither.
 
         numpy writes the names behind a #, ROS behind a %. LabVIEW names a column of comments that rows do not have.
@@ -204,7 +206,7 @@ class _Shape:
             names.pop()
         known = sum(_is_known(name) for name in names)
         # of few words one may be a known one by chance
-        may_name = known == 1 and mark == self.delimiter and not any(" " in name for name in names)
+        may_name = known == 1 and not below_names and not any(" " in name for name in names)
         remarks = is_remark and known < 2 and not may_name
         torn = not has_units and 2 * sum(map(is_number, names)) >= len(names)
         return None if len(names) != self.count or remarks or torn or all(map(is_number, names)) else names

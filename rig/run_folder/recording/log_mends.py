@@ -79,7 +79,9 @@ def unwrapped_clock(t: Floats, y: Floats, second: float, notes: list[str]) -> Fl
     # of any other length: of one clock all rows end and begin alike, and a shaft that turns does not jump
     far = _WRAP_PERIODS * period
     alike = bool(np.all(t[back] >= t.max() - far) and np.all(t[back + 1] <= t.min() + far))
-    if not alike or not period > 0.0 or not _is_sure(y, back) or not _turns_on(y, back):
+    # where it never comes near 0, and falls every few rows, each time is that since the row before
+    steps = float(t[1:].min()) > far and _since_row_before(t, second)
+    if steps or not (alike and period > 0.0 and _is_sure(y, back) and _turns_on(y, back)):
         return t
     turns = np.zeros(t.size)
     turns[back + 1] = t[back] - t[back + 1] + period
@@ -136,18 +138,23 @@ def once(raw: Columns, notes: list[str]) -> Columns:
 
 
 def added_up(t: Floats, notes: list[str]) -> Floats:
-    """Times that each say how long after the row before a row came, as times; with a note. Else as they are.
+    """Times that each say how long after the row before a row came, as times; with a note. Else as they are."""
+    if not _since_row_before(t, 1.0):
+        return t
+    notes.append("each time is that since the row before: they were added up")
+    return np.asarray(np.cumsum(t))
+
+
+def _since_row_before(t: Floats, second: float) -> bool:
+    """Whether each time says how long after the row before its row came; ``second``: units of t in a second.
 
     No clock of rows in order goes back so often, nor says one time in most of its rows.
     """
     if t.size < FIT_ROWS or t[1:].min() <= 0.0:
-        return t
-    usual_s = float(np.median(t))
-    is_even = usual_s <= _LONGEST_S and float(np.mean(t == usual_s)) > _MOSTLY
-    if not is_even and float(np.mean(np.diff(t) < 0.0)) < _FALLS:
-        return t
-    notes.append("each time is that since the row before: they were added up")
-    return np.asarray(np.cumsum(t))
+        return False
+    usual = float(np.median(t))
+    is_even = usual <= _LONGEST_S * second and float(np.mean(t == usual)) > _MOSTLY
+    return is_even or float(np.mean(np.diff(t) < 0.0)) >= _FALLS
 
 
 def runs_of(t: Floats) -> list[slice]:
