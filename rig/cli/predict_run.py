@@ -13,6 +13,8 @@ from rig.cli.terminal import patience
 from rig.run_folder.recording.log_format import LogFormat
 from rig.run_folder.results.answer_words import of_all
 
+_TELLS_PERCENT = 50.0  # fit below which a model says less than half of the motion
+
 
 @click.command("predict-run")
 @click.argument("path", metavar="LOG", type=PATH)
@@ -76,6 +78,8 @@ def predict_run(
             click.echo(f"{one.name}: {note}")
         in_parts = f", in {one.parts} parts between its gaps, each from a start of its own" if one.parts > 1 else ""
         click.echo(f"{one.name}: fit {of_all(one.fit_percent)}, {one.rms_rad:.3g} rad off (RMS){in_parts}")
+        if one.fit_percent < _TELLS_PERCENT:
+            click.echo(f"{one.name}: this model does not tell that record: is it of another motor, or in other units?")
         if remark:
             click.echo(f"{one.name}: {remark}")
     if picture is not None:

@@ -76,7 +76,7 @@ OF_READINGS = "a lag of the readings"
 UNTOLD = "a dead band that never shows"
 TIMES = "times of the drives"
 NOT_SHOWN = {
-    ONE_SIZE: "what acts of a drive of one size no record shows; record drives of several sizes",
+    ONE_SIZE: "one size of drive does not tell how much of it friction takes; record drives of several sizes",
     UNTOLD: "what a dead band of the drive takes is in f_c, for the drive never brakes the shaft, nor coasts; record "
     "strokes that it reverses, or rests at 0 V while the shaft turns",
 }

@@ -182,7 +182,8 @@ class MotorLaw:
         """What the tests show, as sentences."""
         lines = [*self.remarks, *(f"law: {law.in_words()}" for law in self.found)]
         for group in self.not_told_apart:
-            lines.append(f"law: {' and '.join(group)} are not told apart; record {BY_NAME[group[0]].told_by}")
+            titles = " and ".join(BY_NAME[name].title for name in group)
+            lines.append(f"law: {titles} are not told apart; record {BY_NAME[group[0]].told_by}")
         return lines
 
     def judged(self, largest_V: float, estimate: Estimate) -> MotorLaw:

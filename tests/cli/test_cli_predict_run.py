@@ -70,3 +70,17 @@ def test_what_holds_no_motor_is_refused_in_words(tmp_path: Path, log: Path) -> N
     (tmp_path / "other.json").write_text("{}")
     nothing = command("predict-run", log, "--model", tmp_path / "other.json", *OPTIONS)
     assert nothing.exit_code == 2 and "holds no answer" in nothing.output
+
+
+def test_a_model_of_another_motor_is_asked_about(tmp_path: Path, log: Path) -> None:
+    """Only a fit of some percent said it."""
+    words = "this model does not tell that record"
+    other = command("predict-run", log, "--model", found_in(tmp_path, K_rad_s_V=30.0), *OPTIONS)
+    assert other.exit_code == 0 and words in other.output
+    own = command("predict-run", log, "--model", found_in(tmp_path), *OPTIONS)
+    assert own.exit_code == 0 and words not in own.output
+
+
+def test_an_answer_given_as_a_recording_is_called_one(tmp_path: Path) -> None:
+    for done in (command("identify", found_in(tmp_path)), command("export", found_in(tmp_path), "--to", "mujoco")):
+        assert done.exit_code == 2 and "is an answer of `rig identify --json`, not a recording" in done.output

@@ -24,7 +24,7 @@ from rig.identification.departures import DEPARTURES
 from rig.identification.departures.budget import COVERAGE, PRESENT, Budget, Entry, Hidden, Shifts, absolute, instead_of
 from rig.identification.departures.departure import Departure
 from rig.identification.departures.in_place import InPlace
-from rig.identification.departures.laws import SOFT_COUPLING
+from rig.identification.departures.laws import BY_NAME, SOFT_COUPLING
 from rig.identification.departures.nuisances import Nuisance
 from rig.identification.departures.profile import Profile
 from rig.identification.identification import Identification, other_times_explain
@@ -342,7 +342,8 @@ def test_laws_that_are_not_told_apart_are_said_though_one_is_of_each_recording(l
     law = two_amplitudes().motor_law
     assert law is not None
     notes = replace(law, not_told_apart=((law_of_each, "dead_band"),)).notes()
-    assert notes[-1] == f"law: {law_of_each} and dead_band are not told apart; record {told_by}"
+    words = f"law: {BY_NAME[law_of_each].title} and dead band of the drive are not told apart; record {told_by}"
+    assert notes[-1] == words
 
 
 def test_one_amplitude_is_doubtful_and_the_reason_says_what_would_tell() -> None:

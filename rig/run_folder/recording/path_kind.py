@@ -19,6 +19,8 @@ _OF_A_RUN: Final = (SAMPLES, EVENTS, META, RESULT, CURVES, CONFIG, "report.html"
 _OTHER_EXPORTS: Final = (".mat", ".npz", ".npy", ".json")
 _PRINTED: Final = "give the folder that `rig run` printed"
 _HEAD_BYTES: Final = 65536
+# Keys of what `rig identify --json` prints, and of what `rig export` writes alone
+_ANSWER, _EXPORT = b'"answer":', b'"units":'
 
 
 def is_run(path: Path) -> bool:
@@ -92,6 +94,13 @@ def no_recording(path: Path) -> RecordingError | None:
             return _file_of_a_run(path)
         if path.is_file() and path.suffix.lower() in _CONFIGS:
             return _config(path)
+        if path.suffix.lower() == ".json" and path.is_file() and _is_answer(path):
+            return RecordingError(
+                path,
+                "is an answer of `rig identify --json`, not a recording",
+                "give the log or the run folder that it comes from; `rig tune` and `rig predict-run --model` take the "
+                "answer",
+            )
         if path.is_file() and path.suffix.lower() in _OTHER_EXPORTS:
             return RecordingError(
                 path,
@@ -100,6 +109,12 @@ def no_recording(path: Path) -> RecordingError | None:
                 "drive and position as CSV, or type in Python: rig.identify(t, u, y), in s, V and rad",
             )
     return None
+
+
+def _is_answer(path: Path) -> bool:
+    with path.open("rb") as file:
+        head = file.read(_HEAD_BYTES)
+    return _ANSWER in head and _EXPORT not in head
 
 
 @contextmanager
