@@ -98,6 +98,20 @@ def test_a_drive_that_acts_otherwise_than_asked_is_flagged_unless_it_was_lost() 
     assert [k for k, row in enumerate(bench.record.rows) if row["u_V"] == 0.1] == [3, 6]
 
 
+def test_a_signal_that_comes_during_a_look_is_not_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a hundred Ctrl-C while the demo began some two were lost: the run went on to its end."""
+    request = StopRequest(StopFlag.unseen())
+
+    def interrupted() -> str:
+        request(signal.SIGINT, None)
+        return ""
+
+    monkeypatch.setattr(request.flag, "asked_by", interrupted)
+    assert request.look() == "SIGINT" and request.reason == "SIGINT"
+    request = StopRequest(gone=interrupted)
+    assert request.look() == "SIGINT"
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP])
 def test_signals_end_in_a_safe_stop_and_handlers_come_back(number: signal.Signals) -> None:
     bench = simulated_bench()

@@ -78,11 +78,11 @@ class StopRequest:
         """The reason, after a look at the flag, and at whether those are there who have to be."""
         if self.lease is not None:
             self.lease.look()
-        if self.reason is None and self.flag is not None:
-            by = self.flag.asked_by()
-            self.reason = f"Stop by {by}" if by else None
-        if self.reason is None and self._gone is not None:
-            self.reason = self._gone() or None
+        # a signal may come during a look: what it asked for must stay
+        if self.reason is None and self.flag is not None and (by := self.flag.asked_by()):
+            self.reason = f"Stop by {by}"
+        if self.reason is None and self._gone is not None and (gone := self._gone()):
+            self.reason = gone
         return self.reason
 
 
