@@ -26,6 +26,7 @@ LARGEST_STEP = 1.0  # of a logarithm, in one iteration
 ITERATIONS = 40
 OF_ALL = 1e-4  # of the squares: more than that is worth a step, however small they are
 NEARLY = 100.0  # times a gain that is not worth a step: a larger one says too little of what is left
+AS_MUCH = 1.1  # sum of squares from the start of a fit over that of the fit before it, that says as much
 CANCELS = 1e8  # squares of a column over what is left of them without the pieces' starts
 SINGULAR = 1e-12  # of a correlation: no variance is smaller
 
@@ -313,13 +314,16 @@ def begun(problem: Problem, motor: RealMotor, starts: Array, *, goes_on: bool = 
 def refitted(fit: Fit, problem: Problem | None = None, motor: RealMotor | None = None) -> Fit:
     """``fit`` with another problem, or from another motor, ready for ``solve``. The pieces stay the same.
 
-    What another dead band takes of the drive may have been friction to the fit, or not: it begins from the better one.
+    What another dead band takes of the drive may have been friction to the fit: where that leaves about as much as the
+    fit does, it begins from there.
     """
-    motors = [motor or fit.motor]
-    if more_V := motors[0].dead_band_V - fit.motor.dead_band_V:
-        motors.append(motors[0]._replace(fc_V=max(motors[0].fc_V - more_V, 0.0)))
-    begins = [begun(problem or fit.problem, one, fit.starts) for one in motors]
-    return replace(min(begins, key=lambda one: one.cost), iterates=fit.iterates)
+    asked, first = problem or fit.problem, motor or fit.motor
+    begin = begun(asked, first, fit.starts)
+    if more_V := first.dead_band_V - fit.motor.dead_band_V:
+        other = begun(asked, first._replace(fc_V=max(first.fc_V - more_V, 0.0)), fit.starts)
+        if other.cost < min(begin.cost, AS_MUCH * begun(asked, fit.motor, fit.starts).cost):
+            begin = other
+    return replace(begin, iterates=fit.iterates)
 
 
 def solve(fit: Fit, iterations: int = ITERATIONS, enough: Enough = ENOUGH) -> Fit:
