@@ -107,9 +107,8 @@ class RegisterDriver(ABC, Generic[Req]):
         self._driven_s = -math.inf  # when the device last executed a drive
         # when its watchdog ends the last drive, at the latest: a servo's begins anew whenever it hears anything
         self._ends_s = -math.inf
-        self._replied_s = (
-            -math.inf
-        )  # when it last heard anything, of an exchange of a reading or drive that is not over
+        # when it last heard anything, of an exchange of a reading or drive that is not over
+        self._replied_s = -math.inf
         self._acts_s = 0.0  # for so long its watchdog lets that act, or, without one, this driver
         self._lost_reply_s = (
             self._timeout_s
