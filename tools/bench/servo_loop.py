@@ -5,8 +5,8 @@ PYTHONPATH=tools python -m bench.servo_loop [--json] [--minutes M]
 A machine that stands still makes every loop miss ticks. So on each core a C loop (`peers/wake_up_loop.c`) of the same
 period, policy and spin sleeps and wakes at the same time: a tick that ours misses while one of them was late is the
 machine's. Of the others a tick is the bus's if answers of the usual time would have made it punctual. The emulated
-servo's pseudo-terminal needs a worker of the kernel, which has the ordinary priority: any program that computes keeps it
-from its core. So each second turn raises these workers (`loop.raise_workers`).
+servo's pseudo-terminal needs a worker of the kernel, which has the ordinary priority: any program that computes keeps
+it from its core. So each second turn raises these workers (`loop.raise_workers`).
 """
 
 from __future__ import annotations
